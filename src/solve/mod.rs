@@ -1,0 +1,142 @@
+//! From images and light directions to normals.
+
+pub mod least_squares;
+
+use crate::camera::Observation;
+use glam::Vec3;
+
+pub use least_squares::LeastSquares;
+
+/// Pictures of the same pixels under known lights, as a solver takes them.
+#[derive(Clone, Debug, Default)]
+pub struct Measurements<'a> {
+    /// Light direction of each image; unit length, or the blend of soft interpolation.
+    pub lights: Vec<Vec3>,
+    /// Linear grey value of every mask pixel, for each image.
+    pub images: Vec<&'a [f32]>,
+    /// Value at and above which a pixel is saturated; `None` where the images have no such limit.
+    pub saturation: Option<f32>,
+}
+
+impl<'a> Measurements<'a> {
+    /// The measurements of a run.
+    #[must_use]
+    pub fn of(seen: &'a [Observation]) -> Self {
+        Self {
+            lights: seen.iter().map(|o| o.light).collect(),
+            images: seen.iter().map(|o| o.grey.as_slice()).collect(),
+            saturation: None,
+        }
+    }
+
+    /// Number of pixels.
+    ///
+    /// # Errors
+    /// [`SolveError`] where counts disagree or there is nothing to solve.
+    pub fn check(&self) -> Result<usize, SolveError> {
+        if self.lights.len() != self.images.len() {
+            return Err(SolveError::Count { lights: self.lights.len(), images: self.images.len() });
+        }
+        if self.lights.len() < 3 {
+            return Err(SolveError::TooFew(self.lights.len()));
+        }
+        let pixels = self.images[0].len();
+        if let Some(k) = self.images.iter().position(|i| i.len() != pixels) {
+            return Err(SolveError::Pixels { image: k, found: self.images[k].len(), expected: pixels });
+        }
+        Ok(pixels)
+    }
+}
+
+/// Whether the normal of a pixel can be trusted at all.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Validity {
+    /// Solved from lit, unsaturated values.
+    Valid,
+    /// Dark under every light (or all but too few): nothing to solve from.
+    Shadowed,
+    /// Saturated under every light (or all but too few).
+    Saturated,
+}
+
+/// Normals of the mask pixels.
+#[derive(Clone, Debug)]
+pub struct Solution {
+    /// Unit normal of every mask pixel; (0,0,1) where it is not valid. Never NaN.
+    pub normals: Vec<Vec3>,
+    /// Albedo of every mask pixel in the images' units (grey value of a face-on patch).
+    pub albedo: Vec<f32>,
+    /// Which normals rest on enough measurements.
+    pub validity: Vec<Validity>,
+    /// Expected angular error of every mask pixel, degrees; where the solver gives one.
+    pub uncertainty: Option<Vec<f32>>,
+}
+
+/// Why normals can't be solved.
+#[derive(Debug, thiserror::Error, PartialEq)]
+pub enum SolveError {
+    /// Less than three lights.
+    #[error("{0} light(s): a normal needs at least 3 that do not lie in one plane")]
+    TooFew(usize),
+    /// All lights lie in one plane through the object.
+    #[error("the {0} lights lie (nearly) in one plane through the object: add one outside it")]
+    Coplanar(usize),
+    /// Light count and image count differ.
+    #[error("{lights} lights for {images} images: there must be one for each")]
+    Count {
+        /// Number of lights.
+        lights: usize,
+        /// Number of images.
+        images: usize,
+    },
+    /// An image has another number of pixels.
+    #[error("image {image} has {found} pixels where the first has {expected}")]
+    Pixels {
+        /// Which image, from 0.
+        image: usize,
+        /// Its pixels.
+        found: usize,
+        /// Those of the first image.
+        expected: usize,
+    },
+    /// A solver's model could not be run.
+    #[error("{0}")]
+    Model(String),
+}
+
+/// A photometric-stereo solver.
+pub trait Solver {
+    /// Its name on the command line and in tables.
+    fn name(&self) -> &'static str;
+
+    /// Normals from at least three measurements.
+    ///
+    /// # Errors
+    /// [`SolveError`]; a pixel that can't be solved is not an error but marked in the validity map.
+    fn solve(&self, measurements: &Measurements) -> Result<Solution, SolveError>;
+}
+
+/// Names that [`by_name`] knows, with a line for people.
+pub const SOLVERS: &[(&str, &str)] = &[("ls", "least squares over all images (Woodham 1980)")];
+
+/// Why there is no such solver.
+#[derive(Debug, thiserror::Error, PartialEq)]
+#[error("no solver '{name}': choose from {known}")]
+pub struct UnknownSolver {
+    name: String,
+    known: String,
+}
+
+/// The solver of a name in [`SOLVERS`].
+///
+/// # Errors
+/// [`UnknownSolver`] with the names there are.
+pub fn by_name(name: &str) -> Result<Box<dyn Solver>, UnknownSolver> {
+    match name {
+        "ls" => Ok(Box::new(LeastSquares)),
+        _ => Err(UnknownSolver {
+            name: name.into(),
+            known: SOLVERS.iter().map(|s| s.0).collect::<Vec<_>>().join(", "),
+        }),
+    }
+}
