@@ -1,5 +1,7 @@
 //! `coil`: the command line of coil-ps. One file a subcommand.
 
+mod serve;
+
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
 
@@ -12,10 +14,15 @@ struct Cli {
 }
 
 #[derive(Subcommand)]
-enum Command {}
+enum Command {
+    /// Build what is stale of the page and serve it on this machine.
+    Serve(serve::ServeArgs),
+}
 
 fn main() -> ExitCode {
-    let result: anyhow::Result<ExitCode> = match Cli::parse().command {};
+    let result: anyhow::Result<ExitCode> = match Cli::parse().command {
+        Command::Serve(args) => serve::run(args),
+    };
     result.unwrap_or_else(|error| {
         eprintln!("error: {error:#}");
         ExitCode::from(2)

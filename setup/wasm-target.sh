@@ -1,0 +1,107 @@
+#!/usr/bin/env bash
+# Makes sure that rustc can compile for wasm32-unknown-unknown. Prints what to set as
+# RUSTUP_TOOLCHAIN for that, or nothing where the active toolchain will do.
+#
+# Tried in turn: the target is there; rustup fetches it; a private toolchain is made from
+# Debian's packages (rustc-web and the library source), for machines that reach package
+# registries but not rustup's servers. No root; about 2 minutes and 450 MB.
+# COIL_WASM_FALLBACK=1 goes straight to the last.
+set -euo pipefail
+. "$(dirname "$0")/common.sh"
+
+TARGET=wasm32-unknown-unknown
+TOOLCHAIN=$COIL_CACHE/coil-wasm
+MACHINE=$(uname -m)
+HOST=$MACHINE-unknown-linux-gnu
+RUSTUP_SECONDS=${COIL_RUSTUP_SECONDS:-120}
+
+has_target() { [ -d "$(rustc --print target-libdir --target $TARGET 2>/dev/null)" ]; }
+
+by_rustup() {
+  have rustup || return 1
+  say "rustup target add $TARGET (at most $RUSTUP_SECONDS s)"
+  RUSTUP_MAX_RETRIES=1 timeout "$RUSTUP_SECONDS" rustup target add $TARGET >&2 && has_target
+}
+
+# apt with package lists and downloads of its own: needs no root, changes nothing of the system's.
+private_apt() {
+  local command=$1 work=$1; shift
+  work=$PART/apt
+  mkdir -p "$work/lists/partial" "$work/archives/partial"
+  "$command" -o Dir::State::lists="$work/lists" -o Dir::Cache="$work" -o Dir::Cache::archives="$work/archives" \
+    -o APT::Sandbox::User="$(id -un)" -o Debug::NoLocking=1 -qq "$@"
+}
+
+dependency() { # PACKAGE PATTERN: the first dependency of PACKAGE that matches
+  private_apt apt-cache show --no-all-versions "$1" | sed -n 's/^Depends: //p' | tr ',|' '\n\n' |
+    sed 's/^ *//; s/[ (].*//' | grep -m1 "^$2" || die "$1 has no dependency $2: Debian changed its packages"
+}
+
+# Debian's compiler in $PART/usr, with the system libraries that this machine lacks beside it.
+unpack() {
+  say 'Debian: package lists (private copy)'
+  private_apt apt-get update >&2 || say 'apt-get update reported errors; trying all the same'
+  private_apt apt-cache show rustc-web >/dev/null 2>&1 || die 'no package rustc-web here: the fallback needs Debian 12 with bookworm-security'
+  local std llvm lld deb
+  std=$(dependency libstd-rust-web-dev libstd-rust-web-)
+  llvm=$(dependency "$std" libllvm)
+  lld=lld-${llvm#libllvm}
+  say "Debian: download rustc-web, its library source, $llvm, $lld"
+  private_apt apt-get install --download-only --reinstall -y --no-install-recommends \
+    rustc-web libstd-rust-web-dev "$std" rust-web-src "$llvm" "$lld" patchelf >&2
+  for deb in "$PART"/apt/archives/*.deb; do dpkg -x "$deb" "$PART"; done
+  rm -rf "$PART/apt"
+}
+
+# Makes the unpacked programs find their libraries and the linker where they lie now.
+relocate() {
+  local usr=$PART/usr bin=$PART/usr/lib/rustlib/$HOST/bin
+  mkdir -p "$bin"
+  cp "$usr"/lib/llvm-*/bin/lld "$bin/rust-lld"
+  # RPATH, not RUNPATH: it holds for the libraries of the libraries too
+  local run_path='$ORIGIN/../lib/'$MACHINE-linux-gnu
+  LD_LIBRARY_PATH=$usr/lib/$MACHINE-linux-gnu "$usr/bin/patchelf" --force-rpath --set-rpath "$run_path" "$usr/bin/rustc" "$usr/bin/rustdoc"
+  LD_LIBRARY_PATH=$usr/lib/$MACHINE-linux-gnu "$usr/bin/patchelf" --force-rpath --set-rpath '$ORIGIN/../../../'"$MACHINE-linux-gnu" "$bin/rust-lld"
+  say "unpacked: $("$usr/bin/rustc" --version)"
+}
+
+# Compiles the standard library for the target, with bitcode (for LTO) like rustup's own.
+build_std() {
+  local crate=$PART/std lib=$PART/usr/lib/rustlib/$TARGET/lib vendor=$PART/usr/lib/rustlib/src/rust/library/vendor
+  say "build std for $TARGET"
+  mkdir -p "$crate/src" "$lib"
+  : >"$crate/src/lib.rs"
+  printf '[package]\nname = "stdbuild"\nversion = "0.0.0"\nedition = "2021"\n[workspace]\n[profile.release]\ndebug = 0\n' >"$crate/Cargo.toml"
+  (cd "$crate" && env -u CARGO_TARGET_DIR -u CARGO_ENCODED_RUSTFLAGS RUSTC_BOOTSTRAP=1 RUSTC="$PART/usr/bin/rustc" \
+    RUSTFLAGS=-Cembed-bitcode=yes "$1" build -q --release --target-dir target --target $TARGET \
+    --config 'source.crates-io.replace-with="debian"' --config "source.debian.directory=\"$vendor\"" \
+    -Zbuild-std=std,panic_abort,panic_unwind,proc_macro,test >&2)
+  cp "$crate/target/$TARGET"/release/deps/*.rlib "$lib/"
+  rm -f "$lib"/libstdbuild-*.rlib
+}
+
+by_debian() {
+  have apt-get && have dpkg && [ "$(uname -s)" = Linux ] || die "no $TARGET target: run 'rustup target add $TARGET'"
+  "$(dirname "$0")/compiler.sh"
+  lock coil-wasm
+  [ ! -d "$TOOLCHAIN" ] || return 0 # another run made it meanwhile
+  local cargo
+  cargo=$(rustup which cargo 2>/dev/null || command -v cargo)
+  PART=$TOOLCHAIN.part
+  rm -rf "$PART"
+  unpack
+  relocate
+  build_std "$cargo"
+  ln -s "$cargo" "$PART/usr/bin/cargo"
+  rm -rf "$PART/std" "$PART/usr/src" "$PART/usr/share" "$PART/usr/lib/rustlib/src" "$PART"/usr/lib/llvm-*
+  mv "$PART/usr" "$TOOLCHAIN" # complete or absent
+  rm -rf "$PART"
+  say "toolchain ready: $TOOLCHAIN ($(du -sh "$TOOLCHAIN" | cut -f1))"
+}
+
+if [ -z "${COIL_WASM_FALLBACK:-}" ]; then
+  if has_target; then exit 0; fi
+  if [ ! -d "$TOOLCHAIN" ] && by_rustup; then exit 0; fi
+fi
+[ -d "$TOOLCHAIN" ] || by_debian
+echo "$TOOLCHAIN"
