@@ -1,11 +1,21 @@
 //! From images and light directions to normals.
 
+pub mod irls;
+mod lanes;
 pub mod least_squares;
+mod robust;
+pub mod sparse_bayes;
+pub mod trimmed;
+pub mod uncertainty;
 
 use crate::camera::Observation;
 use glam::Vec3;
 
+pub use irls::{Irls, Loss};
 pub use least_squares::LeastSquares;
+pub use robust::Thresholds;
+pub use sparse_bayes::SparseBayes;
+pub use trimmed::Trimmed;
 
 /// Pictures of the same pixels under known lights, as a solver takes them.
 #[derive(Clone, Debug, Default)]
@@ -62,7 +72,8 @@ pub enum Validity {
 /// Normals of the mask pixels.
 #[derive(Clone, Debug)]
 pub struct Solution {
-    /// Unit normal of every mask pixel; (0,0,1) where it is not valid. Never NaN.
+    /// Unit normal of every mask pixel. Never NaN: where it is not valid it is the best that the values
+    /// allow, and (0,0,1) for a black pixel.
     pub normals: Vec<Vec3>,
     /// Albedo of every mask pixel in the images' units (grey value of a face-on patch).
     pub albedo: Vec<f32>,
@@ -117,7 +128,14 @@ pub trait Solver {
 }
 
 /// Names that [`by_name`] knows, with a line for people.
-pub const SOLVERS: &[(&str, &str)] = &[("ls", "least squares over all images (Woodham 1980)")];
+pub const SOLVERS: &[(&str, &str)] = &[
+    ("ls", "least squares over all images (Woodham 1980)"),
+    ("trimmed", "least squares without each pixel's darkest and brightest values"),
+    ("l1", "least absolute residuals, iteratively reweighted"),
+    ("huber", "Huber's loss, iteratively reweighted"),
+    ("cauchy", "Cauchy's loss, iteratively reweighted"),
+    ("sbr", "sparse Bayesian regression (Ikehata et al. 2012)"),
+];
 
 /// Why there is no such solver.
 #[derive(Debug, thiserror::Error, PartialEq)]
@@ -134,6 +152,11 @@ pub struct UnknownSolver {
 pub fn by_name(name: &str) -> Result<Box<dyn Solver>, UnknownSolver> {
     match name {
         "ls" => Ok(Box::new(LeastSquares)),
+        "trimmed" => Ok(Box::new(Trimmed::default())),
+        "l1" => Ok(Box::new(Irls::new(Loss::L1))),
+        "huber" => Ok(Box::new(Irls::new(Loss::Huber))),
+        "cauchy" => Ok(Box::new(Irls::new(Loss::Cauchy))),
+        "sbr" => Ok(Box::new(SparseBayes::default())),
         _ => Err(UnknownSolver {
             name: name.into(),
             known: SOLVERS.iter().map(|s| s.0).collect::<Vec<_>>().join(", "),
