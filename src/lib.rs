@@ -13,7 +13,9 @@
 pub mod rng;
 
 pub mod camera;
+pub mod dataset;
 pub mod error;
+pub mod image;
 pub mod light;
 pub mod planner;
 pub mod relight;

@@ -1,0 +1,471 @@
+//! The layout of DiLiGenT (Shi et al. 2019), DiLiGenT10² (Ren et al. 2022) and our own renders.
+//!
+//! One folder an object: images named in `filenames.txt`, `light_directions.txt` (unit vectors),
+//! `light_intensities.txt` (RGB gains), `mask.png` (its brightest value marks the object), and where known the true
+//! normals as `Normal_gt.mat` or `normal.txt`. Frame: x right, y up (image row 0 is +y), z to the camera.
+//!
+//! Reading is split so that images can be decoded in parallel: [`Header::read`] reads everything but the
+//! images, [`decode_pixels`] decodes one image, [`Header::assemble`] puts them together.
+
+use super::mat;
+use super::{DatasetError, Files, Limits, Warning, check_name};
+use crate::image::{PngReader, decode_png};
+use crate::stack::{BitDepth, Mask, RawStack};
+use glam::{DVec3, Vec3};
+use std::collections::HashMap;
+
+const FILENAMES: &str = "filenames.txt";
+const DIRECTIONS: &str = "light_directions.txt";
+const INTENSITIES: &str = "light_intensities.txt";
+const MASK: &str = "mask.png";
+const TRUTH_MAT: &str = "Normal_gt.mat";
+const TRUTH_TXT: &str = "normal.txt";
+const TRUTH_PNG: &str = "Normal_gt.png";
+
+/// Everything of one object but its images.
+#[derive(Clone, Debug)]
+pub struct Header {
+    /// Folder of the object; empty where it is the root.
+    pub dir: String,
+    /// Object name: the folder's name without DiLiGenT's "PNG".
+    pub name: String,
+    /// The object's pixels.
+    pub mask: Mask,
+    /// File name of each image, relative to the folder.
+    pub images: Vec<String>,
+    /// Unit direction towards the light of each image.
+    pub lights: Vec<Vec3>,
+    /// Gain of each image's light, per RGB channel; positive.
+    pub intensities: Vec<[f32; 3]>,
+    /// True unit normals of the mask pixels; a zero vector where unknown.
+    pub truth: Option<Vec<Vec3>>,
+    /// What a user should know.
+    pub warnings: Vec<Warning>,
+}
+
+/// The mask pixels of one image.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Pixels {
+    /// Bits a channel.
+    pub bits: BitDepth,
+    /// RGB code values of the mask pixels.
+    pub rgb: Vec<[u16; 3]>,
+}
+
+/// Folders of all objects among `files`, sorted; hidden folders and `__MACOSX` are passed over.
+#[must_use]
+pub fn find_objects(files: &dyn Files) -> Vec<String> {
+    let mut dirs: Vec<String> = files
+        .names()
+        .iter()
+        .filter(|name| !name.split('/').any(|part| part.starts_with('.') || part == "__MACOSX"))
+        .filter_map(|name| {
+            let (dir, file) = name.rsplit_once('/').unwrap_or(("", name));
+            [DIRECTIONS, FILENAMES, INTENSITIES].contains(&file).then(|| dir.to_string())
+        })
+        .collect();
+    dirs.sort_unstable();
+    dirs.dedup();
+    dirs
+}
+
+/// Reads the object in folder `dir`, one image after the other.
+///
+/// # Errors
+/// [`DatasetError`] for the first thing that is wrong.
+pub fn read_object(
+    files: &dyn Files,
+    dir: &str,
+    limits: &Limits,
+) -> Result<(RawStack, Vec<Warning>), DatasetError> {
+    let header = Header::read(files, dir, limits)?;
+    let pixels = (0..header.images.len())
+        .map(|k| {
+            let path = header.path(k);
+            decode_pixels(&files.read(&path)?, &header.mask, &path)
+        })
+        .collect::<Result<Vec<_>, _>>()?;
+    let warnings = header.warnings.clone();
+    Ok((header.assemble(pixels)?, warnings))
+}
+
+/// Decodes one image: its mask pixels only. `file` is its name, for messages.
+///
+/// # Errors
+/// [`DatasetError::Image`], or [`DatasetError::ImageSize`] where it does not fit the mask.
+pub fn decode_pixels(bytes: &[u8], mask: &Mask, file: &str) -> Result<Pixels, DatasetError> {
+    let image_error = |reason| DatasetError::Image { file: file.into(), reason };
+    let reader = PngReader::new(bytes, usize::MAX).map_err(image_error)?;
+    let info = reader.info();
+    let (found, expected) = ((info.width, info.height), (mask.width(), mask.height()));
+    if found != expected {
+        return Err(DatasetError::ImageSize { file: file.into(), found, expected });
+    }
+    let mut rgb = Vec::with_capacity(mask.len());
+    reader.pixels(mask.indices().iter().copied(), |p| rgb.push(p)).map_err(image_error)?;
+    Ok(Pixels { bits: info.bits, rgb })
+}
+
+impl Header {
+    /// Reads and checks all files of the object in folder `dir` but its images, which must be there.
+    ///
+    /// # Errors
+    /// [`DatasetError`] for the first thing that is wrong.
+    pub fn read(files: &dyn Files, dir: &str, limits: &Limits) -> Result<Self, DatasetError> {
+        let folder = Folder { files, dir, limits };
+        let mut warnings = Vec::new();
+        let images = folder.image_names(&mut warnings)?;
+        let lights = folder.lights(images.len(), &mut warnings)?;
+        let intensities = folder.intensities(images.len(), &mut warnings)?;
+        let mask = folder.mask()?;
+        let bytes = images.len() as u64 * mask.len() as u64 * size_of::<[u16; 3]>() as u64;
+        if bytes > limits.object_bytes {
+            let what = "bytes of images";
+            return Err(DatasetError::Limit {
+                file: folder.path(""),
+                found: bytes,
+                what,
+                limit: limits.object_bytes,
+            });
+        }
+        let truth = folder.truth(&mask, &mut warnings)?;
+        let name = object_name(dir);
+        if name == "bear" && images.len() == 96 {
+            warnings.push(Warning::BadFirstImages { images: 20 });
+        }
+        Ok(Self { dir: dir.into(), name, mask, images, lights, intensities, truth, warnings })
+    }
+
+    /// Full name of image `k`.
+    #[must_use]
+    pub fn path(&self, k: usize) -> String {
+        join(&self.dir, &self.images[k])
+    }
+
+    /// The object with its images, in the order of [`images`](Self::images).
+    ///
+    /// # Errors
+    /// [`DatasetError::Count`] where an image lacks, [`DatasetError::MixedBitDepth`].
+    pub fn assemble(self, pixels: Vec<Pixels>) -> Result<RawStack, DatasetError> {
+        if pixels.len() != self.images.len() {
+            return Err(DatasetError::Count {
+                file: join(&self.dir, FILENAMES),
+                found: self.images.len(),
+                expected: pixels.len(),
+                of: "images",
+            });
+        }
+        let bits = pixels.first().map_or(BitDepth::Sixteen, |p| p.bits);
+        if let Some(k) = pixels.iter().position(|p| p.bits != bits) {
+            return Err(DatasetError::MixedBitDepth {
+                file: self.path(k),
+                found: pixels[k].bits.bits(),
+                first: self.path(0),
+                expected: bits.bits(),
+            });
+        }
+        Ok(RawStack {
+            name: self.name,
+            mask: self.mask,
+            bits,
+            images: pixels.into_iter().map(|p| p.rgb).collect(),
+            names: self.images,
+            lights: self.lights,
+            intensities: self.intensities,
+            truth: self.truth,
+        })
+    }
+}
+
+/// "pmsData/ballPNG" → "ball".
+fn object_name(dir: &str) -> String {
+    let last = dir.rsplit('/').next().unwrap_or(dir);
+    let name = last.strip_suffix("PNG").filter(|n| !n.is_empty()).unwrap_or(last);
+    if name.is_empty() { "object".into() } else { name.into() }
+}
+
+fn join(dir: &str, name: &str) -> String {
+    if dir.is_empty() { name.into() } else { format!("{dir}/{name}") }
+}
+
+/// One object's folder.
+struct Folder<'a> {
+    files: &'a dyn Files,
+    dir: &'a str,
+    limits: &'a Limits,
+}
+
+impl Folder<'_> {
+    fn path(&self, name: &str) -> String {
+        join(self.dir, name)
+    }
+
+    fn read(&self, name: &str, needed: &str) -> Result<Vec<u8>, DatasetError> {
+        let file = self.path(name);
+        if !self.files.has(&file) {
+            return Err(DatasetError::Missing { file, needed: needed.into() });
+        }
+        let bytes = self.files.read(&file)?;
+        let (found, limit) = (bytes.len() as u64, self.limits.file_bytes);
+        if found > limit {
+            return Err(DatasetError::Limit { file, found, what: "bytes", limit });
+        }
+        Ok(bytes)
+    }
+
+    /// Lines that are not blank, with their numbers from 1.
+    fn lines(&self, name: &str, needed: &str) -> Result<Vec<(usize, String)>, DatasetError> {
+        let bytes = self.read(name, needed)?;
+        let text = String::from_utf8_lossy(&bytes);
+        Ok(text
+            .trim_start_matches('\u{feff}')
+            .lines()
+            .enumerate()
+            .map(|(i, line)| (i, line.trim()))
+            .filter(|(_, line)| !line.is_empty())
+            .map(|(i, line)| (i + 1, line.to_string()))
+            .collect())
+    }
+
+    fn numbers(&self, name: &str, needed: &str) -> Result<Vec<(usize, Vec<f64>)>, DatasetError> {
+        let file = self.path(name);
+        let number = |line: usize, text: &str| match text.parse::<f64>() {
+            Ok(v) if v.is_finite() => Ok(v),
+            Ok(_) => {
+                Err(DatasetError::NotFinite { file: file.clone(), line: line.to_string(), text: text.into() })
+            }
+            Err(_) => {
+                let text = text.chars().take(40).collect();
+                Err(DatasetError::NotANumber { file: file.clone(), line, text })
+            }
+        };
+        self.lines(name, needed)?
+            .into_iter()
+            .map(|(line, text)| {
+                let fields = text.split(|c: char| c.is_whitespace() || c == ',').filter(|f| !f.is_empty());
+                Ok((line, fields.map(|f| number(line, f)).collect::<Result<_, _>>()?))
+            })
+            .collect()
+    }
+
+    fn check_count(&self, name: &str, found: usize, expected: usize) -> Result<(), DatasetError> {
+        if found == expected {
+            return Ok(());
+        }
+        Err(DatasetError::Count { file: self.path(name), found, expected, of: "images" })
+    }
+
+    fn image_names(&self, warnings: &mut Vec<Warning>) -> Result<Vec<String>, DatasetError> {
+        let list = self.path(FILENAMES);
+        let names = if self.files.has(&list) {
+            let mut first = HashMap::new();
+            let mut names = Vec::new();
+            for (line, name) in self.lines(FILENAMES, "")? {
+                let name = name.strip_prefix("./").unwrap_or(&name).to_string();
+                check_name(&format!("{list}:{line}"), &name)?;
+                if let Some(&first) = first.get(&name) {
+                    return Err(DatasetError::Duplicate { list, line, file: name, first });
+                }
+                if !self.files.has(&self.path(&name)) {
+                    return Err(DatasetError::MissingImage { list, line, file: name });
+                }
+                first.insert(name.clone(), line);
+                names.push(name);
+            }
+            names
+        } else {
+            let prefix = self.path("x");
+            let prefix = &prefix[..prefix.len() - 1];
+            let in_folder = self.files.names().iter().filter_map(|n| n.strip_prefix(prefix));
+            let names: Vec<String> = in_folder
+                .filter(|n| !n.contains('/') && !n.starts_with('.') && *n != MASK && *n != TRUTH_PNG)
+                .filter(|n| n.len() > 4 && n[n.len() - 4..].eq_ignore_ascii_case(".png"))
+                .map(Into::into)
+                .collect();
+            warnings.push(Warning::NoFileList { images: names.len() });
+            names
+        };
+        if names.is_empty() {
+            return Err(DatasetError::Missing { file: list, needed: "it names no image".into() });
+        }
+        if names.len() > self.limits.images {
+            let (found, limit) = (names.len() as u64, self.limits.images as u64);
+            return Err(DatasetError::Limit { file: list, found, what: "images", limit });
+        }
+        Ok(names)
+    }
+
+    fn lights(&self, images: usize, warnings: &mut Vec<Warning>) -> Result<Vec<Vec3>, DatasetError> {
+        let file = self.path(DIRECTIONS);
+        let rows = self.numbers(DIRECTIONS, "a unit vector towards the light for each image")?;
+        let (mut off, mut worst) = (0, 1.0f64);
+        let mut lights = Vec::with_capacity(rows.len());
+        for (line, row) in &rows {
+            let (file, line) = (file.clone(), *line);
+            let &[x, y, z] = &row[..] else {
+                return Err(DatasetError::Columns { file, line, found: row.len(), expected: "3" });
+            };
+            let length = DVec3::new(x, y, z).length();
+            if (length - 1.0).abs() > 0.01 {
+                return Err(DatasetError::NotUnit { file, line, length });
+            }
+            if z < 0.0 {
+                return Err(DatasetError::BehindObject { file, line, z });
+            }
+            // Published files have four decimals: what they round is no finding.
+            if (length - 1.0).abs() > 1e-3 {
+                off += 1;
+            }
+            if (length - 1.0).abs() > (worst - 1.0).abs() {
+                worst = length;
+            }
+            lights.push((DVec3::new(x, y, z) / length).as_vec3());
+        }
+        self.check_count(DIRECTIONS, lights.len(), images)?;
+        if off > 0 {
+            warnings.push(Warning::LightsNormalised { lights: off, worst });
+        }
+        Ok(lights)
+    }
+
+    fn intensities(&self, images: usize, warnings: &mut Vec<Warning>) -> Result<Vec<[f32; 3]>, DatasetError> {
+        let file = self.path(INTENSITIES);
+        if !self.files.has(&file) {
+            warnings.push(Warning::NoIntensities);
+            return Ok(vec![[1.0; 3]; images]);
+        }
+        let rows = self.numbers(INTENSITIES, "")?;
+        let mut intensities = Vec::with_capacity(rows.len());
+        for (line, row) in &rows {
+            let (file, line) = (file.clone(), *line);
+            let rgb = match row[..] {
+                [r, g, b] => [r, g, b],
+                [grey] => [grey; 3],
+                _ => {
+                    return Err(DatasetError::Columns { file, line, found: row.len(), expected: "3 (or 1)" });
+                }
+            };
+            // Judged as f32, as which it divides: 1e-50 would be zero.
+            if let Some(channel) = rgb.iter().position(|&v| (v as f32) < f32::MIN_POSITIVE) {
+                return Err(DatasetError::Intensity { file, line, channel, value: rgb[channel] });
+            }
+            if let Some(v) = rgb.iter().find(|&&v| !(v as f32).is_finite()) {
+                return Err(DatasetError::NotFinite { file, line: line.to_string(), text: v.to_string() });
+            }
+            intensities.push(rgb.map(|v| v as f32));
+        }
+        self.check_count(INTENSITIES, intensities.len(), images)?;
+        Ok(intensities)
+    }
+
+    fn mask(&self) -> Result<Mask, DatasetError> {
+        let file = self.path(MASK);
+        let bytes = self.read(MASK, "its brightest value marks the pixels of the object")?;
+        let image = decode_png(&bytes, self.limits.pixels)
+            .map_err(|reason| DatasetError::Image { file: file.clone(), reason })?;
+        let value = |p: &[u16; 3]| p[0].max(p[1]).max(p[2]);
+        // An all-black mask marks nothing.
+        let brightest = image.rgb.iter().map(value).max().unwrap_or(0).max(1);
+        let inside: Vec<bool> = image.rgb.iter().map(|p| value(p) == brightest).collect();
+        let (width, height) = (image.width, image.height);
+        Mask::new(width, height, &inside).map_err(|_| DatasetError::EmptyMask { file, width, height })
+    }
+
+    fn truth(&self, mask: &Mask, warnings: &mut Vec<Warning>) -> Result<Option<Vec<Vec3>>, DatasetError> {
+        let (file, normals) = if self.files.has(&self.path(TRUTH_MAT)) {
+            (TRUTH_MAT, self.truth_mat(mask)?)
+        } else if self.files.has(&self.path(TRUTH_TXT)) {
+            (TRUTH_TXT, self.truth_txt(mask, warnings)?)
+        } else {
+            warnings.push(Warning::NoTruth);
+            return Ok(None);
+        };
+        let (mut zero, mut off, mut worst) = (0, 0, 1.0f64);
+        let mut truth = Vec::with_capacity(mask.len());
+        for (p, n) in normals.into_iter().enumerate() {
+            let length = n.length();
+            if !length.is_finite() {
+                let (x, y) = mask.position(p);
+                return Err(DatasetError::NotFinite {
+                    file: self.path(file),
+                    line: format!("column {x}, row {y}"),
+                    text: format!("normal ({}, {}, {})", n.x, n.y, n.z),
+                });
+            }
+            if length < 1e-6 {
+                zero += 1;
+                truth.push(Vec3::ZERO);
+                continue;
+            }
+            if (length - 1.0).abs() > 0.01 {
+                off += 1;
+            }
+            if (length - 1.0).abs() > (worst - 1.0).abs() {
+                worst = length;
+            }
+            truth.push((n / length).as_vec3());
+        }
+        if zero > 0 {
+            warnings.push(Warning::ZeroTruth { pixels: zero });
+        }
+        if off > 0 {
+            warnings.push(Warning::TruthNormalised { pixels: off, worst });
+        }
+        Ok(Some(truth))
+    }
+
+    fn truth_mat(&self, mask: &Mask) -> Result<Vec<DVec3>, DatasetError> {
+        let file = self.path(TRUTH_MAT);
+        let bytes = self.read(TRUTH_MAT, "")?;
+        let array = mat::read_array(&bytes, "Normal_gt", self.limits.pixels.saturating_mul(3))
+            .map_err(|reason| DatasetError::Mat { file: file.clone(), reason })?;
+        let (width, height) = (mask.width() as usize, mask.height() as usize);
+        if array.dims != [height, width, 3] {
+            let found = array.dims.iter().map(ToString::to_string).collect::<Vec<_>>().join("×");
+            let expected = format!("{height}×{width}×3");
+            return Err(DatasetError::TruthSize { file, found, expected });
+        }
+        // Column-major: row runs fastest, then column, then component.
+        let plane = width * height;
+        Ok((0..mask.len())
+            .map(|p| {
+                let (x, y) = mask.position(p);
+                let i = y as usize + x as usize * height;
+                DVec3::new(array.values[i], array.values[i + plane], array.values[i + 2 * plane])
+            })
+            .collect())
+    }
+
+    /// `normal.txt`: a line a pixel, row by row from the top left.
+    fn truth_txt(&self, mask: &Mask, warnings: &mut Vec<Warning>) -> Result<Vec<DVec3>, DatasetError> {
+        let file = self.path(TRUTH_TXT);
+        let rows = self.numbers(TRUTH_TXT, "")?;
+        let (width, height) = (mask.width() as usize, mask.height() as usize);
+        if rows.len() != width * height {
+            let found = format!("{} lines", rows.len());
+            let expected = format!("{} ({width}×{height})", width * height);
+            return Err(DatasetError::TruthSize { file, found, expected });
+        }
+        let mut normals = Vec::with_capacity(rows.len());
+        for (line, row) in &rows {
+            let &[x, y, z] = &row[..] else {
+                return Err(DatasetError::Columns { file, line: *line, found: row.len(), expected: "3" });
+            };
+            normals.push(DVec3::new(x, y, z));
+        }
+        // The right way up, (nearly) every mask pixel has a normal.
+        let upright = mask.gather(&normals);
+        let turned: Vec<DVec3> = (0..mask.len())
+            .map(|p| {
+                let (x, y) = mask.position(p);
+                normals[(height - 1 - y as usize) * width + x as usize]
+            })
+            .collect();
+        let zeros = |n: &[DVec3]| n.iter().filter(|n| **n == DVec3::ZERO).count();
+        if zeros(&turned) < zeros(&upright) {
+            warnings.push(Warning::TruthUpsideDown { file });
+            return Ok(turned);
+        }
+        Ok(upright)
+    }
+}
