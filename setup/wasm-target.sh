@@ -53,16 +53,21 @@ unpack() {
   rm -rf "$PART/apt"
 }
 
-# Makes the unpacked programs find their libraries and the linker where they lie now.
+# Makes the unpacked programs and libraries find each other, and rustc the linker, where they lie now.
 relocate() {
-  local usr=$PART/usr bin=$PART/usr/lib/rustlib/$HOST/bin
+  local libraries=$PART/usr/lib/$MACHINE-linux-gnu bin=$PART/usr/lib/rustlib/$HOST/bin version
+  run_path() { # PATH FILE…: RPATH, which unlike RUNPATH holds for the libraries of the libraries too
+    LD_LIBRARY_PATH=$libraries "$PART/usr/bin/patchelf" --force-rpath --set-rpath "$@"
+  }
   mkdir -p "$bin"
-  cp "$usr"/lib/llvm-*/bin/lld "$bin/rust-lld"
-  # RPATH, not RUNPATH: it holds for the libraries of the libraries too
-  local run_path='$ORIGIN/../lib/'$MACHINE-linux-gnu
-  LD_LIBRARY_PATH=$usr/lib/$MACHINE-linux-gnu "$usr/bin/patchelf" --force-rpath --set-rpath "$run_path" "$usr/bin/rustc" "$usr/bin/rustdoc"
-  LD_LIBRARY_PATH=$usr/lib/$MACHINE-linux-gnu "$usr/bin/patchelf" --force-rpath --set-rpath '$ORIGIN/../../../'"$MACHINE-linux-gnu" "$bin/rust-lld"
-  say "unpacked: $("$usr/bin/rustc" --version)"
+  cp "$PART"/usr/lib/llvm-*/bin/lld "$bin/rust-lld"
+  find "$PART/lib" -name '*.so.*' -exec mv -t "$libraries" {} + 2>/dev/null || true # packages from before /usr was merged
+  find "$libraries" -type f -name '*.so*' -print0 | while IFS= read -r -d '' file; do run_path '$ORIGIN' "$file"; done
+  run_path '$ORIGIN/../lib/'"$MACHINE-linux-gnu" "$PART/usr/bin/rustc" "$PART/usr/bin/rustdoc"
+  run_path '$ORIGIN/../../../'"$MACHINE-linux-gnu" "$bin/rust-lld"
+  version=$("$PART/usr/bin/rustc" --version) || die 'the unpacked compiler does not run'
+  "$bin/rust-lld" -flavor wasm --version >/dev/null || die 'the unpacked linker does not run'
+  say "unpacked: $version"
 }
 
 # Compiles the standard library for the target, with bitcode (for LTO) like rustup's own.
