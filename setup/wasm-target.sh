@@ -10,12 +10,16 @@ set -euo pipefail
 . "$(dirname "$0")/common.sh"
 
 TARGET=wasm32-unknown-unknown
-TOOLCHAIN=$COIL_CACHE/coil-wasm
+TOOLCHAIN=$COIL_CACHE/coil-wasm # complete or absent
 MACHINE=$(uname -m)
 HOST=$MACHINE-unknown-linux-gnu
 RUSTUP_SECONDS=${COIL_RUSTUP_SECONDS:-120}
 
-has_target() { [ -d "$(rustc --print target-libdir --target $TARGET 2>/dev/null)" ]; }
+# A failed `rustup target add` can leave the folder behind, empty.
+has_target() {
+  local folder
+  folder=$(rustc --print target-libdir --target $TARGET 2>/dev/null) && compgen -G "$folder/libcore-*.rlib" >/dev/null
+}
 
 by_rustup() {
   have rustup || return 1
@@ -99,7 +103,7 @@ by_debian() {
   build_std "$cargo"
   ln -s "$cargo" "$PART/usr/bin/cargo"
   rm -rf "$PART/std" "$PART/usr/src" "$PART/usr/share" "$PART/usr/lib/rustlib/src" "$PART"/usr/lib/llvm-*
-  mv "$PART/usr" "$TOOLCHAIN" # complete or absent
+  mv "$PART/usr" "$TOOLCHAIN"
   rm -rf "$PART"
   say "toolchain ready: $TOOLCHAIN ($(du -sh "$TOOLCHAIN" | cut -f1))"
 }
