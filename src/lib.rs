@@ -22,3 +22,5 @@ pub mod relight;
 pub mod session;
 pub mod solve;
 pub mod stack;
+
+pub mod eval;

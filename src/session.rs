@@ -99,6 +99,12 @@ impl<'a> Session<'a> {
         &self.seen
     }
 
+    /// The pictures, when the session is no longer needed.
+    #[must_use]
+    pub fn into_seen(self) -> Vec<Observation> {
+        self.seen
+    }
+
     /// The object's pixels.
     #[must_use]
     pub fn mask(&self) -> &Mask {

@@ -12,10 +12,10 @@ pub struct Random {
 }
 
 impl Random {
-    /// For a seed.
+    /// Draws from `rng`.
     #[must_use]
-    pub fn new(seed: u64) -> Self {
-        Self { rng: Rng::new(seed) }
+    pub fn new(rng: Rng) -> Self {
+        Self { rng }
     }
 }
 

@@ -141,8 +141,10 @@ pub const SOLVERS: &[(&str, &str)] = &[
 #[derive(Debug, thiserror::Error, PartialEq)]
 #[error("no solver '{name}': choose from {known}")]
 pub struct UnknownSolver {
-    name: String,
-    known: String,
+    /// What was asked for.
+    pub name: String,
+    /// The names there are.
+    pub known: String,
 }
 
 /// The solver of a name in [`SOLVERS`].
