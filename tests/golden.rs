@@ -1,0 +1,71 @@
+//! Published numbers on real objects: the golden test of least squares, and protocol 128.
+
+mod support;
+
+use coil_ps::eval::table::{Row, rows, run};
+use coil_ps::eval::{Protocol, Settings, Subject};
+
+fn table(object: &str, protocol: Protocol, planners: &[&str], draws: usize) -> Option<Vec<Row>> {
+    let mut raw = support::diligent(object)?;
+    if object == "bear" && protocol == Protocol::P128 {
+        raw = raw.subset(|k| k >= 20);
+    }
+    let stack = protocol.apply(&raw).unwrap();
+    let settings = Settings {
+        planners: planners.iter().map(|&p| p.into()).collect(),
+        solvers: vec!["ls".into()],
+        lights: vec![10],
+        protocol,
+        lookups: vec!["nearest".into()],
+        draws,
+        seed: 1,
+    };
+    let subject = Subject::Stack(&stack);
+    let runs: Vec<_> = settings
+        .runs()
+        .unwrap()
+        .into_iter()
+        .map(|s| {
+            let r = run(&subject, &s, &settings.solvers);
+            (s, r)
+        })
+        .collect();
+    Some(rows(&subject, &settings, &runs))
+}
+
+/// Least squares over all 96 lights, official protocol: shared/data/README.md.
+#[test]
+fn least_squares_on_all_lights_is_as_published() {
+    for (object, published, tolerance) in [
+        ("ball", 4.10, 0.02),
+        ("bear", 8.39, 0.02),
+        ("cat", 8.41, 0.02),
+        ("reading", 19.80, 0.02),
+        ("cow", 25.99, 0.05),
+        ("pot1", 9.11, 0.05),
+    ] {
+        let Some(rows) = table(object, Protocol::Official, &["all"], 1) else { return };
+        let mae = rows[0].mae.unwrap();
+        println!("{object}: {mae:.3} (published {published})");
+        assert!((mae - published).abs() <= tolerance, "{object}: {mae:.3}, published {published}");
+    }
+}
+
+/// Protocol 128, T = 10: within 0.8° of the paper's entries (shared/spec/evaluation.md).
+#[test]
+fn protocol_128_lands_near_the_papers_entries() {
+    let planners = ["random", "dc05", "tk22", "lipids"];
+    for (object, published) in [
+        ("ball", [3.30, 4.49, 3.61, 3.70]),
+        ("bear", [9.24, 9.02, 8.99, 8.75]),
+        ("cat", [8.13, 8.27, 8.16, 8.09]),
+        ("reading", [17.03, 16.97, 16.55, 16.76]),
+    ] {
+        let Some(rows) = table(object, Protocol::P128, &planners, 30) else { return };
+        for (row, paper) in rows.iter().zip(published) {
+            let (mae, first) = (row.mae.unwrap(), row.mae_as_published.unwrap());
+            println!("{object} {}: {mae:.2}, draw 0 {first:.2} (paper {paper})", row.planner);
+            assert!((mae - paper).abs() <= 0.8, "{object} {}: {mae:.2}, paper {paper}", row.planner);
+        }
+    }
+}
