@@ -15,11 +15,12 @@ pub fn azimuth(direction: Vec3) -> f32 {
     libm::atan2f(direction.y, direction.x)
 }
 
-/// The unit direction of an azimuth and a slant, radians.
+/// The unit direction of an azimuth and a slant in [0, π/2], radians.
 #[must_use]
 pub fn from_azimuth_slant(azimuth: f32, slant: f32) -> Vec3 {
     let s = libm::sinf(slant);
-    Vec3::new(s * libm::cosf(azimuth), s * libm::sinf(azimuth), libm::cosf(slant))
+    // The nearest f32 to π/2 has a cosine just below zero.
+    Vec3::new(s * libm::cosf(azimuth), s * libm::sinf(azimuth), libm::cosf(slant).max(0.0))
 }
 
 /// Angle between two unit vectors, radians; exact also where they nearly coincide.
