@@ -7,9 +7,9 @@
 //! Reading is split so that images can be decoded in parallel: [`Header::read`] reads everything but the
 //! images, [`decode_pixels`] decodes one image, [`Header::assemble`] puts them together.
 
-use super::mat;
-use super::{DatasetError, Files, Limits, Warning, check_name};
-use crate::image::{PngReader, decode_png};
+use super::text::{self, Row};
+use super::{DatasetError, Files, Limits, Warning, check_name, mat};
+use crate::image::{ImageError, PngReader, decode_png, encode_grey, encode_rgb};
 use crate::stack::{BitDepth, Mask, RawStack};
 use glam::{DVec3, Vec3};
 use std::collections::HashMap;
@@ -177,6 +177,69 @@ impl Header {
     }
 }
 
+/// The files of an object in this layout, relative to its folder: everything [`read_object`] reads, and
+/// the true normals as a picture (`Normal_gt.png`). What is read back is the same to the bit.
+///
+/// # Errors
+/// [`DatasetError::UnsafeName`] for an image's name, [`DatasetError::Image`] where an image does not fill the mask.
+pub fn write_object(stack: &RawStack) -> Result<Vec<(String, Vec<u8>)>, DatasetError> {
+    let image_error = |file: &str, reason| DatasetError::Image { file: file.into(), reason };
+    let mut files = Vec::new();
+    for (name, rgb) in stack.names.iter().zip(&stack.images) {
+        check_name("image", name)?;
+        let bytes = encode_pixels(rgb, stack.bits, &stack.mask).map_err(|e| image_error(name, e))?;
+        files.push((name.clone(), bytes));
+    }
+    let lines = |rows: Vec<[f32; 3]>| -> Vec<u8> {
+        rows.iter().flat_map(|[a, b, c]| format!("{a} {b} {c}\n").into_bytes()).collect()
+    };
+    let list = stack.names.iter().flat_map(|n| format!("{n}\n").into_bytes()).collect();
+    files.push((FILENAMES.into(), list));
+    files.push((DIRECTIONS.into(), lines(stack.lights.iter().map(Vec3::to_array).collect())));
+    files.push((INTENSITIES.into(), lines(stack.intensities.clone())));
+    let (width, height) = (stack.mask.width(), stack.mask.height());
+    let inside = stack.mask.scatter(&vec![255; stack.mask.len()], 0);
+    files.push((MASK.into(), encode_grey(width, height, &inside).map_err(|e| image_error(MASK, e))?));
+    if let Some(truth) = &stack.truth {
+        files.push((TRUTH_MAT.into(), normals_mat("Normal_gt", &stack.mask, truth)));
+        // rgb = (n + 1)/2; black where there is no normal.
+        let colour = |n: &Vec3| match *n {
+            Vec3::ZERO => [0; 3],
+            n => ((n + 1.0) * 127.5).round().to_array().map(|v| v as u16),
+        };
+        let picture = stack.mask.scatter(&truth.iter().map(colour).collect::<Vec<_>>(), [0; 3]);
+        let bytes = encode_rgb(width, height, BitDepth::Eight, &picture);
+        files.push((TRUTH_PNG.into(), bytes.map_err(|e| image_error(TRUTH_PNG, e))?));
+    }
+    Ok(files)
+}
+
+/// A PNG of the mask pixels' code values, black around them.
+///
+/// # Errors
+/// [`ImageError::Length`] where there is not one value a mask pixel.
+pub fn encode_pixels(rgb: &[[u16; 3]], bits: BitDepth, mask: &Mask) -> Result<Vec<u8>, ImageError> {
+    if rgb.len() != mask.len() {
+        return Err(ImageError::Length { found: rgb.len(), width: mask.width(), height: mask.height() });
+    }
+    encode_rgb(mask.width(), mask.height(), bits, &mask.scatter(rgb, [0; 3]))
+}
+
+/// A MAT file with the normals of the mask pixels as an H×W×3 array `variable`, zero around them.
+#[must_use]
+pub fn normals_mat(variable: &str, mask: &Mask, normals: &[Vec3]) -> Vec<u8> {
+    let (width, height) = (mask.width() as usize, mask.height() as usize);
+    let plane = width * height;
+    let mut values = vec![0.0; 3 * plane];
+    for (p, n) in normals.iter().enumerate().take(mask.len()) {
+        let (x, y) = mask.position(p);
+        for (c, v) in n.to_array().into_iter().enumerate() {
+            values[c * plane + x as usize * height + y as usize] = f64::from(v);
+        }
+    }
+    mat::write_array(variable, &mat::Array { dims: vec![height, width, 3], values })
+}
+
 /// "pmsData/ballPNG" → "ball".
 fn object_name(dir: &str) -> String {
     let last = dir.rsplit('/').next().unwrap_or(dir);
@@ -186,6 +249,28 @@ fn object_name(dir: &str) -> String {
 
 fn join(dir: &str, name: &str) -> String {
     if dir.is_empty() { name.into() } else { format!("{dir}/{name}") }
+}
+
+/// Counts vectors that are not of unit length.
+struct Lengths {
+    off: usize,
+    /// The length furthest from 1.
+    worst: f64,
+}
+
+impl Default for Lengths {
+    fn default() -> Self {
+        Self { off: 0, worst: 1.0 }
+    }
+}
+
+impl Lengths {
+    fn add(&mut self, length: f64, tolerance: f64) {
+        self.off += usize::from((length - 1.0).abs() > tolerance);
+        if (length - 1.0).abs() > (self.worst - 1.0).abs() {
+            self.worst = length;
+        }
+    }
 }
 
 /// One object's folder.
@@ -213,39 +298,14 @@ impl Folder<'_> {
         Ok(bytes)
     }
 
-    /// Lines that are not blank, with their numbers from 1.
-    fn lines(&self, name: &str, needed: &str) -> Result<Vec<(usize, String)>, DatasetError> {
-        let bytes = self.read(name, needed)?;
-        let text = String::from_utf8_lossy(&bytes);
-        Ok(text
-            .trim_start_matches('\u{feff}')
-            .lines()
-            .enumerate()
-            .map(|(i, line)| (i, line.trim()))
-            .filter(|(_, line)| !line.is_empty())
-            .map(|(i, line)| (i + 1, line.to_string()))
-            .collect())
-    }
-
-    fn numbers(&self, name: &str, needed: &str) -> Result<Vec<(usize, Vec<f64>)>, DatasetError> {
-        let file = self.path(name);
-        let number = |line: usize, text: &str| match text.parse::<f64>() {
-            Ok(v) if v.is_finite() => Ok(v),
-            Ok(_) => {
-                Err(DatasetError::NotFinite { file: file.clone(), line: line.to_string(), text: text.into() })
-            }
-            Err(_) => {
-                let text = text.chars().take(40).collect();
-                Err(DatasetError::NotANumber { file: file.clone(), line, text })
-            }
-        };
-        self.lines(name, needed)?
-            .into_iter()
-            .map(|(line, text)| {
-                let fields = text.split(|c: char| c.is_whitespace() || c == ',').filter(|f| !f.is_empty());
-                Ok((line, fields.map(|f| number(line, f)).collect::<Result<_, _>>()?))
-            })
-            .collect()
+    /// Hands each line of numbers to `each`; blank lines are passed over.
+    fn rows(
+        &self,
+        name: &str,
+        needed: &str,
+        each: impl FnMut(usize, Row) -> Result<(), DatasetError>,
+    ) -> Result<(), DatasetError> {
+        text::rows(&self.path(name), &self.read(name, needed)?, each)
     }
 
     fn check_count(&self, name: &str, found: usize, expected: usize) -> Result<(), DatasetError> {
@@ -260,8 +320,8 @@ impl Folder<'_> {
         let names = if self.files.has(&list) {
             let mut first = HashMap::new();
             let mut names = Vec::new();
-            for (line, name) in self.lines(FILENAMES, "")? {
-                let name = name.strip_prefix("./").unwrap_or(&name).to_string();
+            for (line, name) in text::lines(&String::from_utf8_lossy(&self.read(FILENAMES, "")?)) {
+                let name = name.strip_prefix("./").unwrap_or(name).to_string();
                 check_name(&format!("{list}:{line}"), &name)?;
                 if let Some(&first) = first.get(&name) {
                     return Err(DatasetError::Duplicate { list, line, file: name, first });
@@ -297,33 +357,16 @@ impl Folder<'_> {
 
     fn lights(&self, images: usize, warnings: &mut Vec<Warning>) -> Result<Vec<Vec3>, DatasetError> {
         let file = self.path(DIRECTIONS);
-        let rows = self.numbers(DIRECTIONS, "a unit vector towards the light for each image")?;
-        let (mut off, mut worst) = (0, 1.0f64);
-        let mut lights = Vec::with_capacity(rows.len());
-        for (line, row) in &rows {
-            let (file, line) = (file.clone(), *line);
-            let &[x, y, z] = &row[..] else {
-                return Err(DatasetError::Columns { file, line, found: row.len(), expected: "3" });
-            };
-            let length = DVec3::new(x, y, z).length();
-            if (length - 1.0).abs() > 0.01 {
-                return Err(DatasetError::NotUnit { file, line, length });
-            }
-            if z < 0.0 {
-                return Err(DatasetError::BehindObject { file, line, z });
-            }
-            // Published files have four decimals: what they round is no finding.
-            if (length - 1.0).abs() > 1e-3 {
-                off += 1;
-            }
-            if (length - 1.0).abs() > (worst - 1.0).abs() {
-                worst = length;
-            }
-            lights.push((DVec3::new(x, y, z) / length).as_vec3());
-        }
+        let (mut lights, mut lengths) = (Vec::new(), Lengths::default());
+        self.rows(DIRECTIONS, "a unit vector towards the light for each image", |line, row| {
+            let v = row.vector(&file, line)?;
+            lights.push(text::light_direction(v, &file, line)?);
+            lengths.add(v.length(), 1e-3); // files have four decimals: what they round is no finding
+            Ok(())
+        })?;
         self.check_count(DIRECTIONS, lights.len(), images)?;
-        if off > 0 {
-            warnings.push(Warning::LightsNormalised { lights: off, worst });
+        if lengths.off > 0 {
+            warnings.push(Warning::LightsNormalised { lights: lengths.off, worst: lengths.worst });
         }
         Ok(lights)
     }
@@ -334,26 +377,30 @@ impl Folder<'_> {
             warnings.push(Warning::NoIntensities);
             return Ok(vec![[1.0; 3]; images]);
         }
-        let rows = self.numbers(INTENSITIES, "")?;
-        let mut intensities = Vec::with_capacity(rows.len());
-        for (line, row) in &rows {
-            let (file, line) = (file.clone(), *line);
-            let rgb = match row[..] {
-                [r, g, b] => [r, g, b],
-                [grey] => [grey; 3],
+        let mut intensities = Vec::new();
+        self.rows(INTENSITIES, "", |line, row| {
+            let file = || file.clone();
+            let rgb = match row.values() {
+                Some(&[r, g, b]) => [r, g, b],
+                Some(&[grey]) => [grey; 3],
                 _ => {
-                    return Err(DatasetError::Columns { file, line, found: row.len(), expected: "3 (or 1)" });
+                    let (found, expected) = (row.count, "3 (or 1)");
+                    return Err(DatasetError::Columns { file: file(), line, found, expected });
                 }
             };
-            // Judged as f32, as which it divides: 1e-50 would be zero.
-            if let Some(channel) = rgb.iter().position(|&v| (v as f32) < f32::MIN_POSITIVE) {
-                return Err(DatasetError::Intensity { file, line, channel, value: rgb[channel] });
-            }
-            if let Some(v) = rgb.iter().find(|&&v| !(v as f32).is_finite()) {
-                return Err(DatasetError::NotFinite { file, line: line.to_string(), text: v.to_string() });
+            // Judged as f32, as which it divides: 1e-50 would be zero, 1e50 infinite.
+            for (channel, &value) in rgb.iter().enumerate() {
+                if (value as f32) < f32::MIN_POSITIVE {
+                    return Err(DatasetError::Intensity { file: file(), line, channel, value });
+                }
+                if (value as f32).is_infinite() {
+                    let (line, text) = (line.to_string(), value.to_string());
+                    return Err(DatasetError::NotFinite { file: file(), line, text });
+                }
             }
             intensities.push(rgb.map(|v| v as f32));
-        }
+            Ok(())
+        })?;
         self.check_count(INTENSITIES, intensities.len(), images)?;
         Ok(intensities)
     }
@@ -380,7 +427,7 @@ impl Folder<'_> {
             warnings.push(Warning::NoTruth);
             return Ok(None);
         };
-        let (mut zero, mut off, mut worst) = (0, 0, 1.0f64);
+        let (mut zero, mut lengths) = (0, Lengths::default());
         let mut truth = Vec::with_capacity(mask.len());
         for (p, n) in normals.into_iter().enumerate() {
             let length = n.length();
@@ -395,21 +442,16 @@ impl Folder<'_> {
             if length < 1e-6 {
                 zero += 1;
                 truth.push(Vec3::ZERO);
-                continue;
+            } else {
+                lengths.add(length, 0.01);
+                truth.push(text::normalised(n));
             }
-            if (length - 1.0).abs() > 0.01 {
-                off += 1;
-            }
-            if (length - 1.0).abs() > (worst - 1.0).abs() {
-                worst = length;
-            }
-            truth.push((n / length).as_vec3());
         }
         if zero > 0 {
             warnings.push(Warning::ZeroTruth { pixels: zero });
         }
-        if off > 0 {
-            warnings.push(Warning::TruthNormalised { pixels: off, worst });
+        if lengths.off > 0 {
+            warnings.push(Warning::TruthNormalised { pixels: lengths.off, worst: lengths.worst });
         }
         Ok(Some(truth))
     }
@@ -439,19 +481,16 @@ impl Folder<'_> {
     /// `normal.txt`: a line a pixel, row by row from the top left.
     fn truth_txt(&self, mask: &Mask, warnings: &mut Vec<Warning>) -> Result<Vec<DVec3>, DatasetError> {
         let file = self.path(TRUTH_TXT);
-        let rows = self.numbers(TRUTH_TXT, "")?;
         let (width, height) = (mask.width() as usize, mask.height() as usize);
-        if rows.len() != width * height {
-            let found = format!("{} lines", rows.len());
+        let mut normals = Vec::with_capacity(width * height);
+        self.rows(TRUTH_TXT, "", |line, row| {
+            normals.push(row.vector(&file, line)?);
+            Ok(())
+        })?;
+        if normals.len() != width * height {
+            let found = format!("{} lines", normals.len());
             let expected = format!("{} ({width}×{height})", width * height);
             return Err(DatasetError::TruthSize { file, found, expected });
-        }
-        let mut normals = Vec::with_capacity(rows.len());
-        for (line, row) in &rows {
-            let &[x, y, z] = &row[..] else {
-                return Err(DatasetError::Columns { file, line: *line, found: row.len(), expected: "3" });
-            };
-            normals.push(DVec3::new(x, y, z));
         }
         // The right way up, (nearly) every mask pixel has a normal.
         let upright = mask.gather(&normals);

@@ -3,14 +3,20 @@
 //! Nothing here touches a file system. [`Files`] is what the readers ask; the command line implements
 //! it for folders, the page fills a [`Memory`].
 
+pub mod archive;
+pub mod csv;
 pub mod diligent;
+pub mod diligent102;
+pub mod lp;
 pub mod mat;
+mod text;
 
 use crate::image::ImageError;
 use mat::MatError;
 use std::collections::BTreeMap;
 
-pub use diligent::{Header, Pixels, decode_pixels, find_objects, read_object};
+pub use archive::Zip;
+pub use diligent::{Header, Pixels, decode_pixels, find_objects, read_object, write_object};
 
 /// Named files. Names are relative, with '/' between folders.
 pub trait Files: Sync {
@@ -40,12 +46,21 @@ pub struct Limits {
     pub object_bytes: u64,
     /// Bytes of one file, unpacked.
     pub file_bytes: u64,
+    /// Bytes of all files of an archive, unpacked.
+    pub archive_bytes: u64,
 }
 
 impl Default for Limits {
-    /// 10 000 images of 64 Mi pixels, 3 GiB an object, 1 GiB a file: DiLiGenT10² (100 × 1001×1001) takes 0.6 GB.
+    /// 10 000 images of 64 Mi pixels, 3 GiB an object, 1 GiB a file, 64 GiB an archive: an object of
+    /// DiLiGenT10² (100 × 1001×1001) takes at most 0.6 GB.
     fn default() -> Self {
-        Self { images: 10_000, pixels: 1 << 26, object_bytes: 3 << 30, file_bytes: 1 << 30 }
+        Self {
+            images: 10_000,
+            pixels: 1 << 26,
+            object_bytes: 3 << 30,
+            file_bytes: 1 << 30,
+            archive_bytes: 64 << 30,
+        }
     }
 }
 
@@ -239,6 +254,14 @@ pub enum DatasetError {
         what: &'static str,
         /// The limit.
         limit: u64,
+    },
+    /// A file that would unpack to far more than it holds.
+    #[error("{file}: refused as a zip bomb: {problem}")]
+    ZipBomb {
+        /// The file.
+        file: String,
+        /// What gives it away.
+        problem: String,
     },
     /// Nothing in it looks like an object.
     #[error(

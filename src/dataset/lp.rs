@@ -1,0 +1,96 @@
+//! Light positions of RTI software: a `.lp` file has a line with the number of images, then for each
+//! image a line `name x y z` with the direction towards the light.
+
+use super::text;
+use super::{DatasetError, check_name};
+use glam::{DVec3, Vec3};
+
+/// Names and unit light directions of the text of a `.lp` file. `file` is its name, for messages.
+///
+/// # Errors
+/// [`DatasetError`] with the line for a wrong count, a name that leads out of the folder, a vector that is not unit.
+pub fn read_lp(bytes: &[u8], file: &str) -> Result<Vec<(String, Vec3)>, DatasetError> {
+    let text = String::from_utf8_lossy(bytes);
+    let mut lines = text::lines(&text);
+    let (line, first) =
+        lines.next().ok_or(DatasetError::Missing { file: file.into(), needed: "it is empty".into() })?;
+    let expected: usize = first.parse().map_err(|_| DatasetError::NotANumber {
+        file: file.into(),
+        line,
+        text: first.chars().take(40).collect(),
+    })?;
+    let mut lights = Vec::new();
+    for (line, text) in lines {
+        // The name may have spaces: the vector is the last three fields.
+        let mut fields = text.rsplitn(4, [' ', '\t']).collect::<Vec<_>>();
+        let (name, rest) = match fields.pop() {
+            Some(name) if fields.len() == 3 => (name.trim(), [fields[2], fields[1], fields[0]].join(" ")),
+            _ => {
+                let found = text.split_whitespace().count();
+                return Err(DatasetError::Columns {
+                    file: file.into(),
+                    line,
+                    found,
+                    expected: "a name and 3",
+                });
+            }
+        };
+        // Folders of the machine that wrote the file mean nothing here.
+        let name = name.rsplit(['/', '\\']).next().unwrap_or(name);
+        check_name(&format!("{file}:{line}"), name)?;
+        let v: DVec3 = text::row(file, line, &rest)?.vector(file, line)?;
+        lights.push((name.to_string(), text::light_direction(v, file, line)?));
+    }
+    if lights.len() != expected {
+        let found = lights.len();
+        return Err(DatasetError::Count {
+            file: file.into(),
+            found,
+            expected,
+            of: "images on its first line",
+        });
+    }
+    Ok(lights)
+}
+
+/// The text of a `.lp` file.
+#[must_use]
+pub fn write_lp<'a>(lights: impl IntoIterator<Item = (&'a str, Vec3)>) -> String {
+    let lines: Vec<String> =
+        lights.into_iter().map(|(name, l)| format!("{name} {} {} {}\n", l.x, l.y, l.z)).collect();
+    format!("{}\n{}", lines.len(), lines.concat())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::light::fibonacci_hemisphere;
+
+    #[test]
+    fn lights_round_trip() {
+        let lights = fibonacci_hemisphere(50);
+        let names: Vec<String> = (0..50).map(|k| format!("image {k}.png")).collect();
+        let text = write_lp(names.iter().map(String::as_str).zip(lights.iter().copied()));
+        let read = read_lp(text.as_bytes(), "a.lp").unwrap();
+        assert_eq!(read, names.into_iter().zip(lights).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn files_of_other_programs_are_read() {
+        let text = "2\r\nC:\\rti\\img_01.jpg\t0.0\t0.6\t0.8\r\n/home/x/b c.jpg   0 0 1\r\n\r\n";
+        let read = read_lp(text.as_bytes(), "a.lp").unwrap();
+        assert_eq!(read, [("img_01.jpg".into(), Vec3::new(0.0, 0.6, 0.8)), ("b c.jpg".into(), Vec3::Z)]);
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_its_line() {
+        let message = |text: &str| read_lp(text.as_bytes(), "a.lp").unwrap_err().to_string();
+        assert_eq!(message("two\n"), "a.lp:1: 'two' is not a number");
+        assert_eq!(message("1\n\na.png 0 0.8\n"), "a.lp:3: 3 numbers where a name and 3 are needed");
+        assert!(message("1\na 0 0 1\nb 0 0 1\n").starts_with("a.lp: 2 lines for 1 images"));
+        assert!(message("1\na 0 0 1.2\n").contains("20.0 % off"));
+        assert!(message("1\na 0 nan 1\n").contains("a.lp:2: nan is not finite"));
+        assert!(message("1\na 0 0 -1\n").contains("behind"));
+        assert!(message("1\n.. 0 0 1\n").contains("unsafe"));
+    }
+}
