@@ -349,7 +349,7 @@ impl std::fmt::Display for Warning {
             Self::NoIntensities => write!(f, "no light_intensities.txt: took all intensities as 1"),
             Self::BadFirstImages { images } => write!(
                 f,
-                "the first {images} images are known to be bad (some specular areas are damaged): learned methods leave them out"
+                "the first {images} images are known to be corrupted: learned methods leave them out"
             ),
         }
     }

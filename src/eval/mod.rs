@@ -1,5 +1,6 @@
 //! Comparing planners and solvers fairly: protocols, runs, the table, the brute-force study.
 
+pub mod plot;
 pub mod protocol;
 pub mod statistics;
 pub mod study;

@@ -1,5 +1,8 @@
 //! `coil`: the command line of coil-ps. One file a subcommand.
 
+mod export;
+mod files;
+mod info;
 mod serve;
 
 use clap::{Parser, Subcommand};
@@ -15,12 +18,18 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    /// Tell what datasets are and what is wrong with them.
+    Info(info::Args),
+    /// Write lights, normals or whole objects in another format.
+    Export(export::Args),
     /// Build what is stale of the page and serve it on this machine.
     Serve(serve::ServeArgs),
 }
 
 fn main() -> ExitCode {
     let result: anyhow::Result<ExitCode> = match Cli::parse().command {
+        Command::Info(args) => info::run(args),
+        Command::Export(args) => export::run(args),
         Command::Serve(args) => serve::run(args),
     };
     result.unwrap_or_else(|error| {
