@@ -19,6 +19,8 @@ pub mod image;
 pub mod light;
 pub mod planner;
 pub mod relight;
+#[cfg(feature = "render")]
+pub mod render;
 pub mod session;
 pub mod solve;
 pub mod stack;
