@@ -19,6 +19,8 @@ pub trait Real:
 {
     /// A constant.
     fn of(value: f32) -> Self;
+    /// A number with a gradient, which `f32` drops.
+    fn with_gradient(value: f32, gradient: Vec3) -> Self;
     /// The number without its gradient.
     fn value(self) -> f32;
     /// Square root; gradient 0 at 0.
@@ -27,6 +29,9 @@ pub trait Real:
     fn powf(self, exponent: f32) -> Self;
     /// Sine and cosine.
     fn sin_cos(self) -> (Self, Self);
+
+    /// Angle of the point (x = `x`, y = `self`), radians in (−π, π]; gradient 0 at the origin.
+    fn atan2(self, x: Self) -> Self;
 
     /// The smaller of two.
     #[inline]
@@ -56,6 +61,10 @@ impl Real for f32 {
         value
     }
     #[inline]
+    fn with_gradient(value: f32, _: Vec3) -> Self {
+        value
+    }
+    #[inline]
     fn value(self) -> f32 {
         self
     }
@@ -70,6 +79,10 @@ impl Real for f32 {
     #[inline]
     fn sin_cos(self) -> (Self, Self) {
         libm::sincosf(self)
+    }
+    #[inline]
+    fn atan2(self, x: Self) -> Self {
+        libm::atan2f(self, x)
     }
 }
 
@@ -97,6 +110,10 @@ impl Real for Dual {
         Self { value, gradient: Vec3::ZERO }
     }
     #[inline]
+    fn with_gradient(value: f32, gradient: Vec3) -> Self {
+        Self { value, gradient }
+    }
+    #[inline]
     fn value(self) -> f32 {
         self.value
     }
@@ -115,6 +132,12 @@ impl Real for Dual {
     fn sin_cos(self) -> (Self, Self) {
         let (s, c) = libm::sincosf(self.value);
         (Self { value: s, gradient: self.gradient * c }, Self { value: c, gradient: self.gradient * -s })
+    }
+    #[inline]
+    fn atan2(self, x: Self) -> Self {
+        let r2 = (self.value * self.value + x.value * x.value).max(1e-20);
+        let gradient = (self.gradient * x.value - x.gradient * self.value) / r2;
+        Self { value: libm::atan2f(self.value, x.value), gradient }
     }
 }
 
@@ -224,6 +247,11 @@ impl<R: Real> V3<R> {
     #[inline]
     pub fn add(self, v: Vec3) -> Self {
         Self { x: self.x + v.x, y: self.y + v.y, z: self.z + v.z }
+    }
+    /// The product of the matrix whose rows are `rows` with this vector.
+    #[inline]
+    pub fn turned(self, rows: &[Vec3; 3]) -> Self {
+        Self { x: self.dot(rows[0]), y: self.dot(rows[1]), z: self.dot(rows[2]) }
     }
     /// Component by component times a constant.
     #[inline]
