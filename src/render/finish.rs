@@ -71,7 +71,8 @@ impl Finish {
         if let Some(seed) = self.texture {
             let rng = &mut Rng::stream(seed, 2);
             let (light, hue) = (Noise::new(rng, 6.0), [0; 3].map(|_| Noise::new(rng, 3.0)));
-            let channel = |p, noise: &Noise| 0.25 + 0.75 * smoothstep(-1.2, 1.2, 0.8 * light.at(p) + 0.5 * noise.at(p));
+            let channel =
+                |p, noise: &Noise| 0.25 + 0.75 * smoothstep(-1.2, 1.2, 0.8 * light.at(p) + 0.5 * noise.at(p));
             skin.tint = places.iter().map(|&p| std::array::from_fn(|c| channel(p, &hue[c]))).collect();
         }
         skin

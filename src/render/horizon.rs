@@ -49,8 +49,14 @@ impl Horizon {
         let position = if turn < 0.0 { turn + a } else { turn };
         let low = (position as usize).min(self.azimuths - 1);
         let r2 = light.x * light.x + light.y * light.y;
-        let t_gradient = if r2 > 1e-12 { Vec3::new(-light.y, light.x, 0.0) * (a / TAU / r2) } else { Vec3::ZERO };
-        Sector { low, high: (low + 1) % self.azimuths, t: (position - low as f32).clamp(0.0, 1.0), t_gradient }
+        let t_gradient =
+            if r2 > 1e-12 { Vec3::new(-light.y, light.x, 0.0) * (a / TAU / r2) } else { Vec3::ZERO };
+        Sector {
+            low,
+            high: (low + 1) % self.azimuths,
+            t: (position - low as f32).clamp(0.0, 1.0),
+            t_gradient,
+        }
     }
 
     /// Sines of all pixels at an azimuth number.
@@ -78,6 +84,8 @@ struct Depths {
     z: Vec<f32>,
     /// Mask pixel number of a grid pixel.
     number: Vec<u32>,
+    /// Rise of the surface a pixel to the right and a pixel downwards.
+    rise: Vec<[f32; 2]>,
     top: f32,
     pixel: f32,
 }
@@ -86,13 +94,17 @@ impl Depths {
     fn new(view: &View) -> Self {
         let z: Vec<f32> = view.positions.iter().map(|p| p.z).collect();
         let numbers: Vec<u32> = (0..z.len() as u32).collect();
+        let pixel = 2.0 / view.mask.width() as f32;
+        let rise: Vec<[f32; 2]> =
+            view.normals.iter().map(|n| [-n.x / n.z * pixel, n.y / n.z * pixel]).collect();
         Self {
+            rise: view.mask.scatter(&rise, [0.0; 2]),
             width: view.mask.width() as i32,
             height: view.mask.height() as i32,
             top: z.iter().copied().fold(f32::MIN, f32::max),
             z: view.mask.scatter(&z, f32::NEG_INFINITY),
             number: view.mask.scatter(&numbers, u32::MAX),
-            pixel: 2.0 / view.mask.width() as f32,
+            pixel,
         }
     }
 
@@ -115,15 +127,20 @@ impl Depths {
             // One coordinate is whole, the other lies between two pixels.
             let (x0, y0) = (fx as i32, fy as i32);
             let t = if ray.along_x { fy - y0 as f32 } else { fx - x0 as f32 };
-            let (x1, y1) = if ray.along_x { (x0, y0 + i32::from(t > 0.0)) } else { (x0 + i32::from(t > 0.0), y0) };
+            let (x1, y1) =
+                if ray.along_x { (x0, y0 + i32::from(t > 0.0)) } else { (x0 + i32::from(t > 0.0), y0) };
             if fx < 0.0 || fy < 0.0 || x1 >= self.width || y1 >= self.height {
                 return;
             }
             let (i, j) = ((y0 * self.width + x0) as usize, (y1 * self.width + x1) as usize);
             let (a, b) = (self.z[i], self.z[j]);
-            let nearest = if t < 0.5 { i } else { j };
-            // Across a silhouette the depths belong to different surfaces: take the nearer pixel's.
-            let z = if (a - b).abs() <= 4.0 * self.pixel { a + (b - a) * t } else { self.z[nearest] };
+            let (nearest, offset) = if t < 0.5 { (i, t) } else { (j, t - 1.0) };
+            // Across a silhouette the depths belong to different surfaces: extend the nearer pixel's.
+            let z = if (a - b).abs() <= 4.0 * self.pixel {
+                a + (b - a) * t
+            } else {
+                self.z[nearest] + self.rise[nearest][usize::from(ray.along_x)] * offset
+            };
             let slope = (z - here) / distance;
             if slope > best {
                 best = slope;
@@ -207,7 +224,9 @@ impl Exchange {
                 let tangent = -along / n.z;
                 let ground = share(tangent);
                 seen.clear();
-                depths.march(x as i32, y as i32, ray, tangent, |slope, q| seen.push((share(slope) - ground, q)));
+                depths.march(x as i32, y as i32, ray, tangent, |slope, q| {
+                    seen.push((share(slope) - ground, q))
+                });
                 let Some(&(blocked, _)) = seen.last() else { continue };
                 if blocked < 1e-5 {
                     continue;

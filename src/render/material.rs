@@ -54,8 +54,10 @@ pub enum Material {
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum MaterialError {
     /// No such name.
-    #[error("no material '{0}': write a name of models/materials/abc.json (as {1}), lambert, lambert:ALBEDO, \
-             ggx:ALPHA or ggx:ALPHA:F0")]
+    #[error(
+        "no material '{0}': write a name of models/materials/abc.json (as {1}), lambert, lambert:ALBEDO, \
+             ggx:ALPHA or ggx:ALPHA:F0"
+    )]
     Unknown(String, String),
     /// A number is out of range.
     #[error("material '{text}': {what} must lie in ({low}, {high}]")]
@@ -72,8 +74,8 @@ pub enum MaterialError {
 }
 
 static ABC: LazyLock<Vec<Abc>> = LazyLock::new(|| {
-    let mut rows: Vec<Abc> =
-        serde_json::from_str(include_str!("../../models/materials/abc.json")).expect("the committed file is valid");
+    let mut rows: Vec<Abc> = serde_json::from_str(include_str!("../../models/materials/abc.json"))
+        .expect("the committed file is valid");
     for row in &mut rows {
         if let Some((_, scale)) = ENERGY_SCALE.iter().find(|(name, _)| *name == row.name) {
             row.a = row.a.map(|a| a * scale);
@@ -340,7 +342,8 @@ mod tests {
         let h = (l + Vec3::Z).normalize();
         let (ci, co, ch, cd) = (n.dot(l) as f64, n.z as f64, n.dot(h) as f64, h.z as f64);
         let g = (f64::from(m.ior).powi(2) - 1.0 + cd * cd).sqrt();
-        let f = 0.5 * ((g - cd) / (g + cd)).powi(2)
+        let f = 0.5
+            * ((g - cd) / (g + cd)).powi(2)
             * (1.0 + ((cd * (g + cd) - 1.0) / (cd * (g - cd) + 1.0)).powi(2));
         let d = f64::from(m.a[0]) / (1.0 + f64::from(m.b) * (1.0 - ch)).powf(f64::from(m.c));
         let shadowing = 1f64.min(2.0 * ch * ci / cd).min(2.0 * ch * co / cd);

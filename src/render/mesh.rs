@@ -224,7 +224,9 @@ fn obj(data: &[u8]) -> Result<Soup, MeshError> {
             Some("v") => {
                 soup.positions.push(three(&mut words).ok_or_else(|| wrong("v needs three numbers"))?);
             }
-            Some("vn") => soup.normals.push(three(&mut words).ok_or_else(|| wrong("vn needs three numbers"))?),
+            Some("vn") => {
+                soup.normals.push(three(&mut words).ok_or_else(|| wrong("vn needs three numbers"))?)
+            }
             Some("f") => {
                 corners.clear();
                 for word in words {
@@ -268,7 +270,11 @@ fn stl(data: &[u8]) -> Result<Soup, MeshError> {
             return Err(MeshError::Huge(count));
         }
         let body = data.get(84..84 + 50 * count).ok_or_else(|| {
-            MeshError::Short(format!("{count} triangles need {} bytes, it has {}", 84 + 50 * count, data.len()))
+            MeshError::Short(format!(
+                "{count} triangles need {} bytes, it has {}",
+                84 + 50 * count,
+                data.len()
+            ))
         })?;
         for triangle in body.chunks_exact(50) {
             let number = |i: usize| f32::from_le_bytes(std::array::from_fn(|k| triangle[12 + 4 * i + k]));
@@ -298,7 +304,8 @@ fn stl(data: &[u8]) -> Result<Soup, MeshError> {
             (soup.positions.len() - 1) as u32
         })
     };
-    let faces = corners.chunks_exact(3).map(|c| [(index(c[0]), NONE), (index(c[1]), NONE), (index(c[2]), NONE)]);
+    let faces =
+        corners.chunks_exact(3).map(|c| [(index(c[0]), NONE), (index(c[1]), NONE), (index(c[2]), NONE)]);
     soup.faces = faces.collect();
     Ok(soup)
 }
@@ -429,13 +436,20 @@ fn ply_header(data: &[u8]) -> Result<(Encoding, Vec<Element>, usize), MeshError>
                     [kind] => (None, number(kind)?),
                     _ => return Err(wrong(&format!("property '{name}' can't be read"))),
                 };
-                let element = elements.last_mut().ok_or_else(|| wrong("a property before the first element"))?;
+                let element =
+                    elements.last_mut().ok_or_else(|| wrong("a property before the first element"))?;
                 element.properties.push(Property { name: (*name).into(), list, number });
             }
             (1.., ["end_header"]) => {
                 return Ok((encoding.ok_or_else(|| wrong("no format line"))?, elements, offset));
             }
-            _ => return Err(wrong(&format!("line {}: '{}'", i + 1, line.trim().chars().take(60).collect::<String>()))),
+            _ => {
+                return Err(wrong(&format!(
+                    "line {}: '{}'",
+                    i + 1,
+                    line.trim().chars().take(60).collect::<String>()
+                )));
+            }
         }
     }
     Err(wrong("no end_header line"))
@@ -508,9 +522,11 @@ mod tests {
         assert_eq!(m.triangles[3], [1, 2, 3]);
         // 90° and more between faces: edges stay sharp.
         assert_eq!(m.normals[0], [-Vec3::Z; 3]);
-        let quad = Mesh::from_bytes("q.obj", b"v 0 0 0\r\nv 1 0 0\r\nv 1 1 0\r\nv 0 1 0\r\nf 1 2 3 4\r\n").unwrap();
+        let quad =
+            Mesh::from_bytes("q.obj", b"v 0 0 0\r\nv 1 0 0\r\nv 1 1 0\r\nv 0 1 0\r\nf 1 2 3 4\r\n").unwrap();
         assert_eq!(quad.triangles, [[0, 1, 2], [0, 2, 3]]);
-        let with = Mesh::from_bytes("n.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 1 1\nf 1//1 2//1 3//1\n").unwrap();
+        let with =
+            Mesh::from_bytes("n.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 1 1\nf 1//1 2//1 3//1\n").unwrap();
         assert!((with.normals[0][0] - Vec3::new(0.0, 0.5f32.sqrt(), 0.5f32.sqrt())).length() < 1e-6);
     }
 
@@ -543,8 +559,12 @@ mod tests {
         let mut big = header("binary_big_endian").into_bytes();
         for p in &reference.positions {
             text += &format!("{} {} {} 7\n", p.x, p.y, p.z);
-            little.extend(p.x.to_le_bytes().into_iter().chain(f64::from(p.y).to_le_bytes()).chain(p.z.to_le_bytes()));
-            big.extend(p.x.to_be_bytes().into_iter().chain(f64::from(p.y).to_be_bytes()).chain(p.z.to_be_bytes()));
+            little.extend(
+                p.x.to_le_bytes().into_iter().chain(f64::from(p.y).to_le_bytes()).chain(p.z.to_le_bytes()),
+            );
+            big.extend(
+                p.x.to_be_bytes().into_iter().chain(f64::from(p.y).to_be_bytes()).chain(p.z.to_be_bytes()),
+            );
             little.push(7);
             big.push(7);
         }
@@ -590,7 +610,10 @@ mod tests {
         let mut huge = vec![0u8; 80];
         huge.extend(u32::MAX.to_le_bytes());
         assert_eq!(Mesh::from_bytes("h.stl", &huge).unwrap_err(), MeshError::Huge(u32::MAX as usize));
-        assert!(matches!(Mesh::from_bytes("h.ply", b"ply\nformat ascii 1.0\nelement vertex 99999999999\n"), Err(MeshError::Huge(_))));
+        assert!(matches!(
+            Mesh::from_bytes("h.ply", b"ply\nformat ascii 1.0\nelement vertex 99999999999\n"),
+            Err(MeshError::Huge(_))
+        ));
         assert!(matches!(Mesh::from_bytes("h.ply", b"ply\nformat ascii 1.0\nelement face 1\nproperty list uint int vertex_indices\nend_header\n4000000000 1 2"), Err(MeshError::Short(_))));
     }
 }

@@ -12,13 +12,16 @@ pub mod mesh;
 pub mod real;
 pub mod scene;
 pub mod sculpture;
+pub mod trace;
 pub mod view;
 
 pub use finish::Finish;
+pub use horizon::Horizon;
 pub use material::{Abc, Ggx, Material};
 pub use mesh::Mesh;
 pub use scene::{Buffers, Options, Scene, SceneCamera};
 pub use sculpture::Sculpture;
+pub use trace::Tracer;
 pub use view::{Pose, Shape, View};
 
 /// Largest image side.
@@ -43,10 +46,14 @@ pub enum RenderError {
     #[error("the camera does not see the object: no pixel is covered")]
     Invisible,
     /// Not a rotation, or no finite place.
-    #[error("the pose needs a rotation matrix (orthonormal rows, determinant +1), a scale > 0 and a finite translation")]
+    #[error(
+        "the pose needs a rotation matrix (orthonormal rows, determinant +1), a scale > 0 and a finite translation"
+    )]
     Pose,
     /// The pose file can't be read.
-    #[error("pose file: {0}; it holds {{\"rotation\": [[…],[…],[…]], \"scale\": …, \"translation\": […]}}, the last two optional")]
+    #[error(
+        "pose file: {0}; it holds {{\"rotation\": [[…],[…],[…]], \"scale\": …, \"translation\": […]}}, the last two optional"
+    )]
     PoseFile(String),
     /// A material that the flat arrays can't hold.
     #[error("material {0} has no place in the trainer's arrays: use Lambert or a measured material")]

@@ -81,17 +81,36 @@ enum Join {
 enum Form {
     Ellipsoid(Vec3),
     /// Along y from −half (radius `low`) to +half (radius `high`).
-    Limb { half: f32, low: f32, high: f32 },
+    Limb {
+        half: f32,
+        low: f32,
+        high: f32,
+    },
     /// Around y.
-    Ring { major: f32, minor: f32 },
-    Block { half: Vec3, round: f32 },
+    Ring {
+        major: f32,
+        minor: f32,
+    },
+    Block {
+        half: Vec3,
+        round: f32,
+    },
     /// `strands` tubes wound `turns/strands` times around a ring about z.
-    Knot { ring: f32, winding: f32, tube: f32, turns: f32, strands: u32 },
+    Knot {
+        ring: f32,
+        winding: f32,
+        tube: f32,
+        turns: f32,
+        strands: u32,
+    },
     Vessel(Vessel),
     /// Solid below z = h(x, y).
     Field(Field),
     /// Walls of the gyroid of this wave number.
-    Gyroid { wave: f32, wall: f32 },
+    Gyroid {
+        wave: f32,
+        wall: f32,
+    },
 }
 
 /// A wall of revolution about y.
@@ -162,7 +181,11 @@ impl Form {
                 (q * q + p.y * p.y).sqrt() - *minor
             }
             Self::Block { half, round } => {
-                let q = [p.x.abs() - (half.x - round), p.y.abs() - (half.y - round), p.z.abs() - (half.z - round)];
+                let q = [
+                    p.x.abs() - (half.x - round),
+                    p.y.abs() - (half.y - round),
+                    p.z.abs() - (half.z - round),
+                ];
                 let zero = R::of(0.0);
                 let out = q.map(|v| v.max(zero));
                 let outside = (out[0] * out[0] + out[1] * out[1] + out[2] * out[2]).sqrt();
@@ -244,7 +267,9 @@ impl Sculpture {
             None => (name, None),
         };
         match (family, seed) {
-            ("sphere", None) => Ok(Self::solid(name, vec![Part::add(Form::Ellipsoid(Vec3::ONE), Vec3::ZERO)])),
+            ("sphere", None) => {
+                Ok(Self::solid(name, vec![Part::add(Form::Ellipsoid(Vec3::ONE), Vec3::ZERO)]))
+            }
             ("bowl", None) => Ok(bowl()),
             (family, Some(seed)) => Self::grown(family, seed).ok_or_else(unknown),
             _ => Err(unknown()),
@@ -384,7 +409,8 @@ fn bowl() -> Sculpture {
     let parts = vec![
         Part::add(Form::Ellipsoid(Vec3::ONE), Vec3::ZERO),
         Part::cut(Form::Ellipsoid(Vec3::splat(0.88)), Vec3::ZERO).blend(0.02),
-        Part::keep(Form::Block { half: Vec3::new(2.0, 2.0, 1.0), round: 0.0 }, Vec3::new(0.0, 0.0, -0.95)).blend(0.02),
+        Part::keep(Form::Block { half: Vec3::new(2.0, 2.0, 1.0), round: 0.0 }, Vec3::new(0.0, 0.0, -0.95))
+            .blend(0.02),
     ];
     Sculpture { upright: Upright::Front, ..Sculpture::solid("bowl", parts) }
 }
@@ -400,14 +426,18 @@ fn blob(rng: &mut Rng) -> Sculpture {
         );
     }
     for _ in 0..2 + rng.below(4) {
-        let radii = Vec3::new(rng.range(0.7, 1.3), rng.range(0.7, 1.3), rng.range(0.7, 1.6)) * rng.range(0.15, 0.3);
+        let radii =
+            Vec3::new(rng.range(0.7, 1.3), rng.range(0.7, 1.3), rng.range(0.7, 1.6)) * rng.range(0.15, 0.3);
         let center = somewhere(rng, 1.0).normalize_or(Vec3::Z) * rng.range(0.45, 0.8);
-        parts.push(Part::cut(Form::Ellipsoid(radii), center).blend(rng.range(0.06, 0.2)).turned(any_rotation(rng)));
+        parts.push(
+            Part::cut(Form::Ellipsoid(radii), center).blend(rng.range(0.06, 0.2)).turned(any_rotation(rng)),
+        );
     }
-    let folds = 2 + rng.below(4);
-    let waves = ripples(rng, folds, 4.0, 13.0, 0.14);
+    let folds = 2 + rng.below(3);
+    let mut waves = ripples(rng, folds, 4.0, 9.0, 0.16);
+    waves.extend(ripples(rng, 2, 10.0, 20.0, 0.13));
     let twist = rng.range(-1.2, 1.2);
-    Sculpture { waves, twist, step: 0.5, ..Sculpture::solid("", parts) }
+    Sculpture { waves, twist, step: 0.45, ..Sculpture::solid("", parts) }
 }
 
 fn bump(rng: &mut Rng, low: f32, high: f32, height: f32) -> Bump {
@@ -432,12 +462,13 @@ fn fold(rng: &mut Rng, wave: f32, slope: f32, round: f32) -> Fold {
 
 fn relief(rng: &mut Rng) -> Sculpture {
     let mut field = Field::default();
-    for _ in 0..6 + rng.below(8) {
-        field.bumps.push(bump(rng, 0.15, 0.6, 0.75));
+    for _ in 0..8 + rng.below(10) {
+        field.bumps.push(bump(rng, 0.15, 0.6, 0.8));
     }
-    for _ in 0..2 + rng.below(2) {
-        let (wave, round) = (rng.range(5.0, 14.0), rng.range(0.1, 0.6));
-        field.folds.push(fold(rng, wave, 0.45, round));
+    for _ in 0..1 + rng.below(2) {
+        let (wave, round) = (rng.range(4.0, 14.0), rng.range(0.1, 0.6));
+        let slope = rng.range(0.1, 0.55);
+        field.folds.push(fold(rng, wave, slope, round));
     }
     let plate = if rng.uniform() < 0.5 {
         Form::Ellipsoid(Vec3::new(1.0, rng.range(0.75, 1.0), 0.9))
@@ -457,16 +488,22 @@ fn drape(rng: &mut Rng) -> Sculpture {
         let b = bump(rng, 0.35, 0.9, 0.9);
         field.bumps.push(Bump { height: b.height.abs(), ..b });
     }
+    // Folds of one cloth run about the same way.
+    let way = rng.range(0.0, TAU);
     for i in 0..3 {
         let wave = rng.range(3.0, 6.0) * (1.0 + 0.8 * i as f32);
         let round = rng.range(0.15, 0.5);
-        field.folds.push(fold(rng, wave, 0.8 / (1.0 + 0.5 * i as f32), round));
+        let (s, c) = libm::sincosf(way + rng.range(-0.45, 0.45));
+        let mut one = fold(rng, wave, 0.9 / (1.0 + 0.5 * i as f32), round);
+        one.k = [wave * c, wave * s];
+        one.bend = rng.range(0.8, 2.2);
+        field.folds.push(one);
     }
     let parts = vec![
         Part::add(Form::Field(field), Vec3::new(0.0, 0.0, -0.3)),
         Part::keep(Form::Ellipsoid(Vec3::new(rng.range(0.8, 1.0), 1.0, 1.0)), Vec3::ZERO).blend(0.15),
     ];
-    Sculpture { step: 0.35, upright: Upright::Front, ..Sculpture::solid("", parts) }
+    Sculpture { step: 0.3, upright: Upright::Front, ..Sculpture::solid("", parts) }
 }
 
 fn vase(rng: &mut Rng) -> Sculpture {
@@ -486,7 +523,12 @@ fn vase(rng: &mut Rng) -> Sculpture {
         Part::keep(Form::Block { half: Vec3::new(2.0, 0.75, 2.0), round: 0.0 }, Vec3::ZERO).blend(0.04),
         Part::add(Form::Ellipsoid(Vec3::new(0.5, 0.12, 0.5)), Vec3::new(0.0, floor, 0.0)).blend(0.1),
     ];
-    Sculpture { twist: rng.range(-1.5, 1.5), step: 0.4, upright: Upright::Open, ..Sculpture::solid("", parts) }
+    Sculpture {
+        twist: rng.range(-1.5, 1.5),
+        step: 0.4,
+        upright: Upright::Open,
+        ..Sculpture::solid("", parts)
+    }
 }
 
 fn coral(rng: &mut Rng) -> Sculpture {
@@ -521,7 +563,10 @@ fn totem(rng: &mut Rng) -> Sculpture {
         let wide = rng.range(0.25, 0.55);
         let center = Vec3::new(rng.range(-0.06, 0.06), y + height, rng.range(-0.06, 0.06));
         let form = match rng.below(4) {
-            0 => Form::Block { half: Vec3::new(wide, height, wide * rng.range(0.5, 1.0)), round: rng.range(0.0, 0.06) },
+            0 => Form::Block {
+                half: Vec3::new(wide, height, wide * rng.range(0.5, 1.0)),
+                round: rng.range(0.0, 0.06),
+            },
             1 => Form::Ellipsoid(Vec3::new(wide, height * 1.15, wide * rng.range(0.7, 1.0))),
             2 => Form::Ring { major: wide, minor: height * 0.7 },
             _ => Form::Limb { half: height, low: wide * 0.9, high: wide * 0.45 },
@@ -556,8 +601,10 @@ fn figure(rng: &mut Rng) -> Sculpture {
         Part::limb(chest - Vec3::X * wide, chest + Vec3::X * wide, 0.11, 0.11).blend(0.1),
         Part::limb(chest, neck, 0.1, 0.085).blend(0.06),
         Part::add(Form::Ellipsoid(Vec3::new(0.135, 0.175, 0.15)), head).blend(0.04),
-        Part::add(Form::Ellipsoid(Vec3::new(0.035, 0.05, 0.06)), head + Vec3::new(0.0, -0.02, 0.14)).blend(0.04),
-        Part::add(Form::Block { half: Vec3::new(0.5, 0.07, 0.45), round: 0.02 }, Vec3::new(0.0, -0.93, 0.0)).blend(0.02),
+        Part::add(Form::Ellipsoid(Vec3::new(0.035, 0.05, 0.06)), head + Vec3::new(0.0, -0.02, 0.14))
+            .blend(0.04),
+        Part::add(Form::Block { half: Vec3::new(0.5, 0.07, 0.45), round: 0.02 }, Vec3::new(0.0, -0.93, 0.0))
+            .blend(0.02),
     ];
     for side in [-1.0f32, 1.0] {
         let eye = head + Vec3::new(side * 0.055, 0.03, 0.15);
@@ -573,8 +620,16 @@ fn figure(rng: &mut Rng) -> Sculpture {
     }
     let pleats = rng.range(18.0, 26.0);
     let waves = vec![
-        Wave { k: Vec3::new(pleats, rng.range(-4.0, 4.0), 0.0), phase: rng.range(0.0, TAU), height: 0.2 / pleats },
-        Wave { k: Vec3::new(0.0, rng.range(-4.0, 4.0), pleats), phase: rng.range(0.0, TAU), height: 0.2 / pleats },
+        Wave {
+            k: Vec3::new(pleats, rng.range(-4.0, 4.0), 0.0),
+            phase: rng.range(0.0, TAU),
+            height: 0.2 / pleats,
+        },
+        Wave {
+            k: Vec3::new(0.0, rng.range(-4.0, 4.0), pleats),
+            phase: rng.range(0.0, TAU),
+            height: 0.2 / pleats,
+        },
     ];
     Sculpture { waves, step: 0.6, upright: Upright::Standing, ..Sculpture::solid("", parts) }
 }
@@ -585,7 +640,7 @@ fn knot(rng: &mut Rng) -> Sculpture {
     let tube = winding * rng.range(0.38, 0.6);
     let parts = vec![Part::add(Form::Knot { ring: 0.62, winding, tube, turns, strands }, Vec3::ZERO)];
     let waves = ripples(rng, 3, 8.0, 20.0, 0.1);
-    Sculpture { waves, step: 0.4, ..Sculpture::solid("", parts) }
+    Sculpture { waves, step: 0.3, ..Sculpture::solid("", parts) }
 }
 
 fn lattice(rng: &mut Rng) -> Sculpture {
@@ -633,7 +688,11 @@ mod tests {
                 ) / (2.0 * h);
                 // Within h of a crease the difference quotient is a mean of both sides: allow a few.
                 let close = (gradient - numeric).length() < 0.05 * (1.0 + gradient.length());
-                assert!(close || (gradient - numeric).length() < 2.5, "{} {p} {gradient} {numeric}", s.name());
+                assert!(
+                    close || (gradient - numeric).length() < 2.5,
+                    "{} {p} {gradient} {numeric}",
+                    s.name()
+                );
             }
         }
     }
@@ -641,17 +700,21 @@ mod tests {
     #[test]
     fn steps_never_jump_through_the_surface() {
         let mut rng = Rng::new(2);
+        let mut worst = Vec::new();
         for s in some() {
             let mut steep = 0;
             for _ in 0..2000 {
                 let p = somewhere(&mut rng, 1.1);
                 let d = s.at(Dual::inputs(p));
-                // Far inside nothing is traced.
-                if d.value > -0.02 && d.gradient.length() * s.step() > 1.0 {
+                // Far inside nothing is traced, and far outside no step reaches the surface.
+                if d.value > -0.02 && d.value < 0.2 && d.gradient.length() * s.step() > 1.0 {
                     steep += 1;
                 }
             }
-            assert!(steep <= 20, "{}: {steep} of 2000 points are steeper than the step allows", s.name());
+            if steep > 20 {
+                worst.push(format!("{}: {steep} of 2000", s.name()));
+            }
         }
+        assert!(worst.is_empty(), "points steeper than the step allows: {worst:?}");
     }
 }

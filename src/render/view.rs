@@ -374,7 +374,10 @@ mod tests {
         assert!(matches!(View::new(&shape, &pose, 0), Err(RenderError::Size(0))));
         let away = Pose { translation: Vec3::X * 9.0, ..pose };
         assert!(matches!(View::new(&shape, &away, 16), Err(RenderError::Invisible)));
-        assert!(matches!(Pose::fit(&shape, Mat3::from_diagonal(Vec3::new(1.0, 1.0, 2.0))), Err(RenderError::Pose)));
+        assert!(matches!(
+            Pose::fit(&shape, Mat3::from_diagonal(Vec3::new(1.0, 1.0, 2.0))),
+            Err(RenderError::Pose)
+        ));
         assert!(Pose::from_json(&shape, "{}").is_err());
         assert_eq!(Pose::from_json(&shape, &pose.to_json()).unwrap(), pose);
     }
