@@ -6,10 +6,7 @@ use coil_ps::eval::table::{Row, rows, run};
 use coil_ps::eval::{Protocol, Settings, Subject};
 
 fn table(object: &str, protocol: Protocol, planners: &[&str], draws: usize) -> Option<Vec<Row>> {
-    let mut raw = support::diligent(object)?;
-    if object == "bear" && protocol == Protocol::P128 {
-        raw = raw.subset(|k| k >= 20);
-    }
+    let raw = support::diligent(object)?;
     let stack = protocol.apply(&raw).unwrap();
     let settings = Settings {
         planners: planners.iter().map(|&p| p.into()).collect(),

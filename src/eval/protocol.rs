@@ -12,7 +12,7 @@ pub enum Protocol {
     /// DiLiGenT's: full resolution, error over the whole mask.
     #[serde(rename = "official")]
     Official,
-    /// The planning papers': 128×128.
+    /// The planning papers': 128×128, bear without its first 20 images.
     #[serde(rename = "128")]
     P128,
 }
@@ -70,9 +70,22 @@ impl Protocol {
         }
         match self {
             Self::Official => Ok(official(raw)),
+            Self::P128 if is_bear(raw) => p128(&bear76(raw)),
             Self::P128 => p128(raw),
         }
     }
+}
+
+/// Whether this is DiLiGenT's bear with all of its 96 images.
+#[must_use]
+pub fn is_bear(raw: &RawStack) -> bool {
+    raw.name == "bear" && raw.images.len() == 96
+}
+
+/// The variant of DiLiGenT's bear without its first 20 images, which are known to be bad: what protocol 128 is on.
+#[must_use]
+pub fn bear76(raw: &RawStack) -> RawStack {
+    raw.subset(|k| k >= 20)
 }
 
 /// ITU-R BT.601 luma, as MATLAB's rgb2gray.

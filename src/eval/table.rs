@@ -12,7 +12,7 @@ use crate::planner::{self, Choice, PlanError, Setup};
 use crate::relight::Lookup;
 use crate::session::{Session, SessionError, Step};
 use crate::solve::{self, Measurements, UnknownSolver};
-use crate::stack::Stack;
+use crate::stack::{Mask, Stack};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use std::f32::consts::FRAC_PI_2;
@@ -182,6 +182,15 @@ impl Subject<'_> {
         }
     }
 
+    /// The object's pixels.
+    #[must_use]
+    pub fn mask(&self) -> &Mask {
+        match self {
+            Self::Stack(stack) => &stack.mask,
+            Self::Scene { camera, .. } => camera.mask(),
+        }
+    }
+
     /// True normals of the mask pixels.
     #[must_use]
     pub fn truth(&self) -> Option<&[Vec3]> {
@@ -220,6 +229,13 @@ impl Run {
     pub fn effective_images(&self) -> f64 {
         let logs: f64 = self.seen.iter().map(|o| libm::log(f64::from(o.effective_images))).sum();
         libm::exp(logs / self.seen.len().max(1) as f64)
+    }
+
+    /// Drops the pictures' values and keeps directions and numbers: thousands of runs would not fit into memory.
+    pub fn forget_pixels(&mut self) {
+        for o in &mut self.seen {
+            (o.grey, o.rgb) = (Vec::new(), Vec::new());
+        }
     }
 
     /// Mean angle between requested and used light, degrees.
@@ -493,7 +509,7 @@ fn means(results: &[Row]) -> Vec<Row> {
 mod tests {
     use super::*;
     use crate::light::fibonacci_cap;
-    use crate::stack::{BitDepth, Mask};
+    use crate::stack::BitDepth;
 
     fn settings() -> Settings {
         Settings {

@@ -1,9 +1,13 @@
 //! `coil`: the command line of coil-ps. One file a subcommand.
 
+mod eval;
 mod export;
 mod files;
 mod info;
+mod objects;
+mod output;
 mod serve;
+mod study;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -18,6 +22,10 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    /// Compare planners and solvers on datasets or rendered objects.
+    Eval(eval::EvalArgs),
+    /// Studies that need the ground truth: study k.
+    Study(study::StudyArgs),
     /// Tell what datasets are and what is wrong with them.
     Info(info::Args),
     /// Write lights, normals or whole objects in another format.
@@ -28,6 +36,8 @@ enum Command {
 
 fn main() -> ExitCode {
     let result: anyhow::Result<ExitCode> = match Cli::parse().command {
+        Command::Eval(args) => eval::run(args),
+        Command::Study(args) => study::run(args),
         Command::Info(args) => info::run(args),
         Command::Export(args) => export::run(args),
         Command::Serve(args) => serve::run(args),

@@ -1,0 +1,162 @@
+//! What subcommands print and write: tables, JSON, pictures, progress.
+
+use anyhow::{Context, bail};
+use coil_ps::error;
+use coil_ps::eval::plot::{self, LightPlot};
+use coil_ps::eval::table::ALL_LIGHTS;
+use coil_ps::eval::{Run, RunSpec, Settings, Subject};
+use coil_ps::light;
+use coil_ps::session::SessionError;
+use coil_ps::solve::{self, Measurements};
+use coil_ps::stack::BitDepth;
+use glam::Vec3;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+use serde_json::json;
+use std::path::Path;
+
+/// A bar on standard error, shown only where that is a terminal.
+pub fn progress(length: usize, what: &str) -> ProgressBar {
+    let bar = ProgressBar::new(length as u64).with_message(what.to_owned());
+    if let Ok(style) = ProgressStyle::with_template("{msg:20} [{wide_bar}] {pos}/{len}, {eta} left") {
+        bar.set_style(style);
+    }
+    bar
+}
+
+/// Reads a list of counts: `10`, `3,5,10`, `3..10` (both ends included) or a mixture.
+pub fn counts(text: &str) -> anyhow::Result<Vec<usize>> {
+    let mut list = Vec::new();
+    for part in text.split(',') {
+        let bad = || format!("'{part}': write a number, a list as 3,5,10, or a range as 3..10");
+        match part.split_once("..") {
+            Some((from, to)) => {
+                let from: usize = from.trim().parse().with_context(bad)?;
+                let to: usize = to.trim().trim_start_matches('=').parse().with_context(bad)?;
+                if from > to || to > 100_000 {
+                    bail!(bad());
+                }
+                list.extend(from..=to);
+            }
+            None => list.push(part.trim().parse().with_context(bad)?),
+        }
+    }
+    Ok(list)
+}
+
+/// Columns padded to the same width, the first to the left, the others to the right.
+pub fn align(lines: &[Vec<String>]) -> String {
+    let columns = lines.iter().map(Vec::len).max().unwrap_or(0);
+    let width =
+        |c: usize| lines.iter().filter_map(|l| l.get(c)).map(|s| s.chars().count()).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..columns).map(width).collect();
+    let mut text = String::new();
+    for line in lines {
+        for (c, (cell, &width)) in line.iter().zip(&widths).enumerate() {
+            let pad = " ".repeat(width - cell.chars().count());
+            text += &if c == 0 { format!("{cell}{pad}") } else { format!("  {pad}{cell}") };
+        }
+        text.truncate(text.trim_end().len());
+        text.push('\n');
+    }
+    text
+}
+
+/// Writes `value` as JSON to a file, or to standard output for `-`.
+pub fn write_json(path: &Path, value: &impl Serialize) -> anyhow::Result<()> {
+    let text = serde_json::to_string_pretty(value)? + "\n";
+    if path.as_os_str() == "-" {
+        print!("{text}");
+        return Ok(());
+    }
+    write(path, text.as_bytes())
+}
+
+/// Writes a file, making its folder where it is missing.
+pub fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    if let Some(folder) = path.parent().filter(|f| !f.as_os_str().is_empty()) {
+        std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    }
+    std::fs::write(path, bytes).with_context(|| path.display().to_string())
+}
+
+/// Largest error that the colour scale of error maps reaches, degrees.
+const ERROR_SCALE: f32 = 45.0;
+
+/// Normal maps, error maps, light plots and directions of one object's runs, in `DIR/OBJECT/`.
+pub fn write_runs(
+    dir: &Path,
+    subject: &Subject,
+    runs: &[&(RunSpec, Result<Run, SessionError>)],
+    settings: &Settings,
+) -> anyhow::Result<()> {
+    let folder = dir.join(safe(subject.name()));
+    let mut directions = Vec::new();
+    for (spec, run) in runs {
+        let Ok(run) = run else { continue };
+        let lights = if spec.planner == ALL_LIGHTS { run.seen.len() } else { spec.lights };
+        let lookup = safe(&spec.lookup.to_string());
+        let stem = format!("{}-T{lights}-{lookup}", safe(&spec.planner));
+        let list = |f: &dyn Fn(&coil_ps::camera::Observation) -> Vec3| -> Vec<Vec3> {
+            run.seen.iter().map(f).collect()
+        };
+        directions.push(json!({
+            "planner": spec.planner, "lights": lights, "lookup": spec.lookup.to_string(), "seed": spec.seed, "draw": spec.draw,
+            "requested": list(&|o| o.requested).iter().map(|l| l.to_array()).collect::<Vec<_>>(),
+            "used": list(&|o| o.light).iter().map(|l| l.to_array()).collect::<Vec<_>>(),
+            "images": run.seen.iter().map(|o| o.index).collect::<Vec<_>>(),
+            "deviation_degrees": run.seen.iter().map(|o| o.deviation().to_degrees()).collect::<Vec<_>>(),
+            "effective_images": run.seen.iter().map(|o| o.effective_images).collect::<Vec<_>>(),
+            "azimuth_degrees": list(&|o| o.requested).iter().map(|&l| light::azimuth(l).to_degrees()).collect::<Vec<_>>(),
+            "slant_degrees": list(&|o| o.requested).iter().map(|&l| light::slant(l).to_degrees()).collect::<Vec<_>>(),
+        }));
+        let candidates = match subject {
+            Subject::Stack(stack) => &stack.lights[..],
+            Subject::Scene { .. } => &[],
+        };
+        let plot = LightPlot {
+            title: format!("{}: {}, T = {lights}", subject.name(), spec.planner),
+            candidates,
+            chosen: run.seen.iter().map(|o| (o.requested, o.light)).collect(),
+        };
+        write(&folder.join(format!("{stem}-lights.svg")), plot.svg().as_bytes())?;
+        for name in &settings.solvers {
+            let solution = solve::by_name(name)?.solve(&Measurements::of(&run.seen))?;
+            let normals = plot::normal_map(subject.mask(), &solution.normals, BitDepth::Eight)?;
+            write(&folder.join(format!("{stem}-{name}-normals.png")), &normals)?;
+            if let Some(truth) = subject.truth() {
+                let errors = error::error_map(&solution.normals, truth);
+                let png = plot::error_map(subject.mask(), &errors, ERROR_SCALE)?;
+                write(&folder.join(format!("{stem}-{name}-error.png")), &png)?;
+            }
+        }
+    }
+    write_json(&folder.join("directions.json"), &directions)
+}
+
+/// `name` as a file name: what is not a letter, digit, dot, dash or underscore becomes a dash.
+fn safe(name: &str) -> String {
+    let clean: String =
+        name.chars().map(|c| if c.is_alphanumeric() || "._-".contains(c) { c } else { '-' }).collect();
+    if clean.trim_matches('.').is_empty() { "object".into() } else { clean }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_are_lists_and_ranges() {
+        assert_eq!(counts("10").unwrap(), [10]);
+        assert_eq!(counts("3,5,8..10").unwrap(), [3, 5, 8, 9, 10]);
+        for bad in ["", "3..", "10..3", "x", "3,,5"] {
+            assert!(counts(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn names_become_files() {
+        assert_eq!(safe("../ring:40"), "..-ring-40");
+        assert_eq!(safe(".."), "object");
+    }
+}
