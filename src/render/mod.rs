@@ -14,6 +14,7 @@ pub mod scene;
 pub mod sculpture;
 pub mod trace;
 pub mod view;
+pub mod worlds;
 
 pub use finish::Finish;
 pub use horizon::Horizon;

@@ -20,7 +20,8 @@ pub const FAMILIES: &[(&str, &str)] = &[
     ("totem", "stacked blocks, rings and balls with sharp edges"),
     ("figure", "a standing figure with arms and a pleated robe"),
     ("knot", "a torus knot: a tube that crosses itself"),
-    ("lattice", "a ball of labyrinthine walls (a cut gyroid)"),
+    ("lattice", "a ball with a labyrinth carved into it (a cut gyroid)"),
+    ("stone", "a broken stone: flat faces, ridges, chips"),
 ];
 
 /// Why there is no such sculpture.
@@ -291,6 +292,7 @@ impl Sculpture {
             "figure" => figure(rng),
             "knot" => knot(rng),
             "lattice" => lattice(rng),
+            "stone" => stone(rng),
             _ => return None,
         };
         s.name = format!("{family}:{seed}");
@@ -637,7 +639,7 @@ fn figure(rng: &mut Rng) -> Sculpture {
 fn knot(rng: &mut Rng) -> Sculpture {
     let (turns, strands) = [(3.0, 2), (5.0, 2), (2.0, 3), (4.0, 3), (7.0, 2)][rng.below(5)];
     let winding = rng.range(0.2, 0.28);
-    let tube = winding * rng.range(0.38, 0.6);
+    let tube = winding * rng.range(0.5, 0.75);
     let parts = vec![Part::add(Form::Knot { ring: 0.62, winding, tube, turns, strands }, Vec3::ZERO)];
     let waves = ripples(rng, 3, 8.0, 20.0, 0.1);
     Sculpture { waves, step: 0.3, ..Sculpture::solid("", parts) }
@@ -649,9 +651,29 @@ fn lattice(rng: &mut Rng) -> Sculpture {
     let parts = vec![
         Part::add(Form::Gyroid { wave, wall: rng.range(0.28, 0.5) / wave }, somewhere(rng, 0.5)),
         Part::keep(Form::Ellipsoid(radii), Vec3::ZERO).blend(0.06),
-        Part::add(Form::Ellipsoid(radii * rng.range(0.35, 0.6)), Vec3::ZERO).blend(0.1),
+        Part::add(Form::Ellipsoid(radii * rng.range(0.62, 0.85)), Vec3::ZERO).blend(0.12),
     ];
     Sculpture { step: 0.45, ..Sculpture::solid("", parts) }
+}
+
+fn stone(rng: &mut Rng) -> Sculpture {
+    let radii = Vec3::new(rng.range(0.7, 1.0), rng.range(0.7, 1.0), rng.range(0.7, 1.0));
+    let mut parts = vec![Part::add(Form::Ellipsoid(radii), Vec3::ZERO)];
+    for _ in 0..9 + rng.below(7) {
+        // A half-space: a block so large that one face is all one sees of it.
+        let rotation = any_rotation(rng);
+        let half = Form::Block { half: Vec3::splat(3.0), round: 0.0 };
+        let depth = rng.range(0.5, 0.8) - 3.0;
+        parts.push(Part::keep(half, rotation.z_axis * depth).blend(rng.range(0.01, 0.12)).turned(rotation));
+    }
+    for _ in 0..2 + rng.below(4) {
+        let chip = Form::Ellipsoid(Vec3::splat(rng.range(0.15, 0.4)));
+        let place = somewhere(rng, 1.0).normalize_or(Vec3::Z) * rng.range(0.7, 0.95);
+        parts.push(Part::cut(chip, place).blend(rng.range(0.01, 0.05)));
+    }
+    let mut waves = ripples(rng, 2, 3.0, 6.0, 0.08);
+    waves.extend(ripples(rng, 3, 14.0, 28.0, 0.05));
+    Sculpture { waves, step: 0.65, ..Sculpture::solid("", parts) }
 }
 
 #[cfg(test)]
@@ -665,7 +687,7 @@ mod tests {
 
     #[test]
     fn names_are_read_and_refused() {
-        assert_eq!(some().len(), 18);
+        assert_eq!(some().len(), 20);
         assert!(Sculpture::named("sphere").is_ok() && Sculpture::named("bowl").is_ok());
         for bad in ["", "blob", "blob:", "blob:x", "blob:-1", "sphere:1", "bust:3"] {
             assert!(Sculpture::named(bad).is_err(), "{bad}");

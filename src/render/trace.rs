@@ -185,7 +185,8 @@ mod tests {
                     std::f32::consts::PI * i as f32 / rings as f32,
                     std::f32::consts::TAU * j as f32 / spokes as f32,
                 );
-                positions.push(crate::light::from_azimuth_slant(azimuth, slant) * 0.3);
+                let ((s, c), (sa, ca)) = (slant.sin_cos(), azimuth.sin_cos());
+                positions.push(Vec3::new(s * ca, s * sa, c) * 0.3);
                 if i < rings {
                     let at = |i: u32, j: u32| i * spokes + j % spokes;
                     triangles.push([at(i, j), at(i + 1, j), at(i + 1, j + 1)]);

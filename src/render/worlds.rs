@@ -1,0 +1,247 @@
+//! `worlds-v1`: 100 test objects, and training and validation objects that share neither material nor shape with them.
+//!
+//! Every object is drawn from a seed: a sculpture, a pose, a finish. What sets the splits apart:
+//! - materials: [`TEST_MATERIALS`] and [`VALIDATION_MATERIALS`] are held out by name, the other 70 are for training;
+//! - shapes: sculpture seeds are 0, 1, 2 modulo 3 for training, validation, test;
+//! - families: [`TEST_FAMILIES`] are never seen in training; half of the test objects are of these.
+
+use super::finish::Finish;
+use super::material::{Abc, Material};
+use super::scene::{Options, Scene};
+use super::view::{Pose, Shape};
+use super::{RenderError, Sculpture};
+use crate::rng::Rng;
+use glam::Mat3;
+
+/// Name of the benchmark.
+pub const NAME: &str = "worlds-v1";
+
+/// Number of test objects.
+pub const TEST_OBJECTS: usize = 100;
+
+/// Seed of the test objects.
+const TEST_SEED: u64 = 0x0077_6f72_6c64_7331;
+
+/// Materials of the test objects, held out from training and validation.
+pub const TEST_MATERIALS: [&str; 20] = [
+    "alum-bronze",
+    "black-oxidized-steel",
+    "blue-metallic-paint",
+    "brass",
+    "cherry-235",
+    "color-changing-paint2",
+    "dark-specular-fabric",
+    "gold-metallic-paint",
+    "green-acrylic",
+    "light-red-paint",
+    "nickel",
+    "pink-felt",
+    "polyethylene",
+    "pvc",
+    "red-fabric2",
+    "silver-metallic-paint2",
+    "specular-maroon-phenolic",
+    "teflon",
+    "violet-rubber",
+    "white-marble",
+];
+
+/// Materials of the validation objects.
+pub const VALIDATION_MATERIALS: [&str; 10] = [
+    "black-soft-plastic",
+    "chrome-steel",
+    "fruitwood-241",
+    "gold-paint",
+    "green-metallic-paint",
+    "grease-covered-steel",
+    "nylon",
+    "pink-fabric",
+    "red-plastic",
+    "specular-white-phenolic",
+];
+
+/// Families of training and validation.
+pub const TRAIN_FAMILIES: [&str; 6] = ["blob", "relief", "drape", "vase", "coral", "totem"];
+
+/// Families that only the test has.
+pub const TEST_FAMILIES: [&str; 4] = ["figure", "knot", "lattice", "stone"];
+
+/// Which objects.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Split {
+    /// To learn from.
+    Train,
+    /// To choose a checkpoint by.
+    Validation,
+    /// To report on.
+    Test,
+}
+
+impl Split {
+    /// Names of the split's materials, in the order of the file.
+    #[must_use]
+    pub fn materials(self) -> Vec<&'static str> {
+        let held_out = |name: &str| match () {
+            () if TEST_MATERIALS.contains(&name) => Self::Test,
+            () if VALIDATION_MATERIALS.contains(&name) => Self::Validation,
+            () => Self::Train,
+        };
+        Abc::all().iter().map(|m| m.name.as_str()).filter(|name| held_out(name) == self).collect()
+    }
+
+    /// A sculpture seed of this split.
+    fn shape_seed(self, rng: &mut Rng) -> u64 {
+        3 * rng.below(1 << 40) as u64 + self as u64
+    }
+}
+
+/// An object of the benchmark: everything but the resolution.
+#[derive(Clone, Debug)]
+pub struct Object {
+    /// Number and shape, as "017-knot".
+    pub name: String,
+    /// Its shape.
+    pub shape: Shape,
+    /// How it stands.
+    pub rotation: Mat3,
+    /// What it is made of.
+    pub finish: Finish,
+}
+
+impl Object {
+    /// A shape with a pose and finish drawn for a split: what `test`, `training` and `validation` do with a sculpture,
+    /// for a mesh of one's own.
+    #[must_use]
+    pub fn dressed(name: &str, shape: Shape, split: Split, rng: &mut Rng) -> Self {
+        let rotation = shape.random_rotation(rng);
+        Self { name: name.into(), shape, rotation, finish: finish(split, rng) }
+    }
+
+    fn grown(number: usize, family: &str, split: Split, rng: &mut Rng) -> Self {
+        let seed = split.shape_seed(rng);
+        let sculpture = Sculpture::grown(family, seed).expect("the families listed here have seeds");
+        Self::dressed(&format!("{number:03}-{family}"), Shape::Sculpture(sculpture), split, rng)
+    }
+
+    /// The object ready to be rendered.
+    ///
+    /// # Errors
+    /// [`RenderError::Size`] for an impossible size.
+    pub fn scene(&self, options: &Options) -> Result<Scene, RenderError> {
+        let pose = Pose::fit(&self.shape, self.rotation)?;
+        Scene::new(&self.name, &self.shape, &pose, &self.finish, options)
+    }
+}
+
+/// Half of the objects are of one material, a quarter has a second in patches, four in ten an albedo texture.
+fn finish(split: Split, rng: &mut Rng) -> Finish {
+    let names = split.materials();
+    let draw = |rng: &mut Rng| {
+        Material::Abc(Abc::named(names[rng.below(names.len())]).expect("names come from the file").clone())
+    };
+    let material = draw(rng);
+    let patches = (rng.uniform() < 0.25).then(|| (draw(rng), rng.next_u64()));
+    let texture = (rng.uniform() < 0.4).then(|| rng.next_u64());
+    Finish { material, patches, texture }
+}
+
+/// Test object 0..[`TEST_OBJECTS`] (numbers beyond go on drawing from the same distribution).
+#[must_use]
+pub fn test_object(number: usize) -> Object {
+    let rng = &mut Rng::stream(TEST_SEED, number as u64);
+    let family = if number % 2 == 0 {
+        TEST_FAMILIES[number / 2 % TEST_FAMILIES.len()]
+    } else {
+        TRAIN_FAMILIES[number / 2 % TRAIN_FAMILIES.len()]
+    };
+    Object::grown(number, family, Split::Test, rng)
+}
+
+/// Training object `number` of a seeded, endless sequence.
+#[must_use]
+pub fn training(seed: u64, number: usize) -> Object {
+    let rng = &mut Rng::stream(seed, number as u64);
+    let family = TRAIN_FAMILIES[rng.below(TRAIN_FAMILIES.len())];
+    Object::grown(number, family, Split::Train, rng)
+}
+
+/// Validation object `number` of a seeded, endless sequence.
+#[must_use]
+pub fn validation(seed: u64, number: usize) -> Object {
+    let rng = &mut Rng::stream(seed ^ 0x5a5a_5a5a, number as u64);
+    let family = TRAIN_FAMILIES[rng.below(TRAIN_FAMILIES.len())];
+    Object::grown(number, family, Split::Validation, rng)
+}
+
+/// A number that stands for what the test objects look like: FNV-1a over masks, normals and three pictures of each at
+/// 32 × 32 pixels, in 8-bit steps. Whoever reports on `worlds-v1` checks it against [`CHECKSUM`].
+///
+/// # Errors
+/// [`RenderError`], which would be a defect.
+pub fn checksum() -> Result<u64, RenderError> {
+    let mut hash = 0xcbf2_9ce4_8422_2325u64;
+    let mut add = |bytes: &[u8]| {
+        for &b in bytes {
+            hash = (hash ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3);
+        }
+    };
+    let step = |v: f32| (v * 64.0 + 0.5).floor().clamp(0.0, 255.0) as u8;
+    for number in 0..TEST_OBJECTS {
+        let scene = test_object(number).scene(&Options { size: 32, ..Options::default() })?;
+        for (i, n) in scene.view.mask.indices().iter().zip(scene.truth()) {
+            add(&i.to_le_bytes());
+            add(&[step(n.x + 1.0), step(n.y + 1.0), step(n.z + 1.0)]);
+        }
+        for light in crate::light::fibonacci_hemisphere(3) {
+            for value in scene.render(light) {
+                add(&value.map(step));
+            }
+        }
+    }
+    Ok(hash)
+}
+
+/// What [`checksum`] gives on every platform.
+pub const CHECKSUM: u64 = 0x7717_44ba_7cc4_de0b;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_test_objects_are_the_same_everywhere() {
+        let sum = checksum().unwrap();
+        assert_eq!(sum, CHECKSUM, "worlds-v1 now renders to {sum:#018x}: a change to it needs a new name");
+    }
+
+    #[test]
+    fn splits_share_no_material_and_no_shape() {
+        let [train, held, tested] = [Split::Train, Split::Validation, Split::Test].map(Split::materials);
+        assert_eq!((train.len(), held.len(), tested.len()), (70, 10, 20));
+        let name = |o: &Object| match &o.shape {
+            Shape::Sculpture(s) => s.name().to_string(),
+            Shape::Mesh(_) => unreachable!("only sculptures are drawn"),
+        };
+        let seed = |o: &Object| name(o).split_once(':').unwrap().1.parse::<u64>().unwrap() % 3;
+        for i in 0..TEST_OBJECTS {
+            for (o, materials, split) in [
+                (training(1, i), &train, Split::Train),
+                (validation(1, i), &held, Split::Validation),
+                (test_object(i), &tested, Split::Test),
+            ] {
+                assert_eq!(seed(&o), split as u64);
+                let of_split = |m: &Material| materials.contains(&m.name().as_str());
+                assert!(of_split(&o.finish.material) && o.finish.patches.iter().all(|p| of_split(&p.0)));
+                let new_family = TEST_FAMILIES.contains(&name(&o).split_once(':').unwrap().0);
+                assert_eq!(new_family, split == Split::Test && i % 2 == 0);
+            }
+        }
+    }
+
+    #[test]
+    fn a_seed_gives_the_same_object_again() {
+        let (a, b, c) = (training(4, 9), training(4, 9), training(5, 9));
+        assert_eq!((a.rotation, &a.finish), (b.rotation, &b.finish));
+        assert_ne!(a.rotation, c.rotation);
+    }
+}
