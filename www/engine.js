@@ -1,0 +1,122 @@
+// The page's side of the worker: one call a request, with progress and an abort signal.
+
+/** @typedef {import("./messages.js").Calls} Calls */
+/** @typedef {import("./messages.js").Kind} Kind */
+/** @typedef {import("./messages.js").Reply} Reply */
+
+/** A worker that has not answered an abort after so long is ended. */
+const PATIENCE_MS = 80;
+
+/** Requests that make the worker what it is; a new one repeats the last of each. */
+const LASTING = /** @type {Kind[]} */ (["open", "prepare"]);
+
+/**
+ * @template {Kind} K
+ * @typedef {{ signal?: AbortSignal, onProgress?: (progress: Calls[K]["progress"]) => void }} CallOptions
+ */
+
+/** @typedef {{ resolve: (value: any) => void, reject: (error: Error) => void, onProgress?: (progress: any) => void }} Pending */
+
+export class Engine {
+  /** @type {Map<number, Pending>} */
+  #pending = new Map();
+  /** @type {Map<Kind, any>} */
+  #lasting = new Map();
+  #lastId = 0;
+  #worker = this.#start();
+  /** Settles when the worker has what it had before it was ended. */
+  #restored = Promise.resolve();
+
+  /** Called when the worker fails outside of any request: a defect, or no WebAssembly here. */
+  onCrash = /** @type {(error: Error) => void} */ (error => console.error(error));
+
+  /**
+   * @template {Kind} K
+   * @param {K} kind
+   * @param {Calls[K]["body"]} body
+   * @param {CallOptions<K>} [options]
+   * @returns {Promise<Calls[K]["reply"]>}
+   */
+  async call(kind, body, options = {}) {
+    await this.#restored;
+    options.signal?.throwIfAborted();
+    const reply = await this.#send(kind, body, options);
+    if (LASTING.includes(kind)) this.#lasting.set(kind, body);
+    if (kind === "open") this.#lasting.delete("prepare");
+    return reply;
+  }
+
+  /**
+   * @param {Kind} kind
+   * @param {object} body
+   * @param {{ signal?: AbortSignal, onProgress?: (progress: any) => void }} options
+   * @returns {Promise<any>}
+   */
+  #send(kind, body, { signal, onProgress }) {
+    const id = ++this.#lastId;
+    return new Promise((resolve, reject) => {
+      const abort = () => {
+        this.#worker.postMessage({ id, kind: "abort" });
+        setTimeout(() => this.#pending.has(id) && this.#restart(), PATIENCE_MS);
+      };
+      const settled = () => signal?.removeEventListener("abort", abort);
+      this.#pending.set(id, {
+        resolve: value => { settled(); resolve(value); },
+        reject: error => { settled(); reject(error); },
+        onProgress,
+      });
+      signal?.addEventListener("abort", abort);
+      this.#worker.postMessage({ id, kind, ...body });
+    });
+  }
+
+  #start() {
+    const worker = new Worker(new URL("worker.js", import.meta.url), { type: "module", name: "coil-ps" });
+    worker.onmessage = ({ data }) => this.#receive(data);
+    worker.onerror = event => {
+      event.preventDefault();
+      const error = new Error(event.message || "the worker could not be started");
+      for (const { reject } of this.#pending.values()) reject(error);
+      this.#pending.clear();
+      this.onCrash(error);
+    };
+    return worker;
+  }
+
+  /** @param {Reply} reply */
+  #receive(reply) {
+    const pending = this.#pending.get(reply.id);
+    if (!pending) return;
+    if (reply.type === "progress") return pending.onProgress?.(reply.value);
+    this.#pending.delete(reply.id);
+    if (reply.type === "done") return pending.resolve(reply.value);
+    const { name, message } = reply.error;
+    pending.reject(name === "AbortError" ? aborted() : Object.assign(new Error(message), { name }));
+  }
+
+  /** Ends a worker that is deep in a computation, and gives a new one the same object. */
+  #restart() {
+    this.#worker.terminate();
+    for (const { reject } of this.#pending.values()) reject(aborted());
+    this.#pending.clear();
+    this.#worker = this.#start();
+    this.#restored = (async () => {
+      for (const kind of LASTING) {
+        if (this.#lasting.has(kind)) await this.#send(kind, this.#lasting.get(kind), {});
+      }
+    })().catch(this.onCrash);
+  }
+}
+
+/** @returns {Error} */
+function aborted() {
+  return new DOMException("cancelled", "AbortError");
+}
+
+/**
+ * Whether `error` only says that the user, or a newer request, has ended something.
+ * @param {unknown} error
+ */
+export function isAbort(error) {
+  return error instanceof DOMException && error.name === "AbortError";
+}

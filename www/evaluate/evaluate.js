@@ -1,0 +1,263 @@
+// The view that compares planners on one object: its state, what can be done, and its panels.
+
+import { BUILT_IN, DEFAULTS, fromHash, toHash } from "../settings.js";
+import { isAbort } from "../engine.js";
+import { newestOnly, Store } from "../store.js";
+import { find } from "../svg.js";
+import { mountChart } from "./chart.js";
+import { mountDome } from "./dome_panel.js";
+import { mountMaps } from "./maps.js";
+import { mountObject } from "./object.js";
+import { mountResults } from "./results.js";
+import { mountSettings } from "./settings_panel.js";
+
+/** @typedef {import("../main.js").Page} Page */
+/** @typedef {import("../messages.js").Catalogue} Catalogue */
+/** @typedef {import("../messages.js").Direction} Direction */
+/** @typedef {import("../messages.js").ObjectInfo} ObjectInfo */
+/** @typedef {import("../messages.js").Picture} Picture */
+/** @typedef {import("../messages.js").Report} Report */
+/** @typedef {import("../messages.js").ResultRow} ResultRow */
+/** @typedef {import("../messages.js").RunStep} RunStep */
+/** @typedef {import("../messages.js").Settings} Settings */
+/** @typedef {import("../messages.js").Source} Source */
+/** @typedef {import("../messages.js").StackInfo} StackInfo */
+/** @typedef {import("../messages.js").StepView} StepView */
+
+/**
+ * Which step of which run is looked at.
+ * @typedef {{ planner: string, solver: string, step: number }} Shown
+ *
+ * @typedef {object} State
+ * @property {Catalogue | null} catalogue
+ * @property {Settings} settings
+ * @property {Source} source
+ * @property {ObjectInfo | null} object
+ * @property {StackInfo | null} stack
+ * @property {{ done: number, total: number, what: string } | null} opening
+ * @property {{ done: number, total: number } | null} running
+ * @property {Map<string, RunStep[]>} runs first run of every planner, step by step
+ * @property {ResultRow[]} rows the table so far
+ * @property {Report | null} report the table when it is complete
+ * @property {Settings | null} ran what the table was made with
+ * @property {Shown} shown
+ * @property {StepView | null} view
+ * @property {number} scale of the error map, degrees
+ * @property {Direction} sun
+ * @property {Picture | null} relit
+ *
+ * @typedef {object} Panel what a panel is given
+ * @property {Page} page
+ * @property {Store<State>} store
+ * @property {ReturnType<typeof makeActions>} actions
+ */
+
+/** @type {Direction} */
+const FIRST_SUN = [-0.38, 0.46, 0.803];
+
+/**
+ * @param {HTMLElement} root
+ * @param {Page} page
+ */
+export async function mount(root, page) {
+  const { settings, builtIn } = fromHash(location.hash);
+  /** @type {Store<State>} */
+  const store = new Store({
+    catalogue: null, settings, source: builtIn, object: null, stack: null, opening: null, running: null,
+    runs: new Map(), rows: [], report: null, ran: null,
+    shown: { planner: "", solver: settings.solvers[0], step: 0 },
+    view: null, scale: 30, sun: FIRST_SUN, relit: null,
+  });
+  const actions = makeActions(page, store);
+  const panel = { page, store, actions };
+  mountObject(find(root, "#object", HTMLElement), panel);
+  mountSettings(find(root, "#settings", HTMLFormElement), panel);
+  mountDome(find(root, "#dome", HTMLElement), panel);
+  mountMaps(find(root, "#maps", HTMLElement), panel);
+  mountChart(find(root, "#chart", HTMLElement), panel);
+  mountResults(find(root, "#results", HTMLElement), panel);
+
+  const catalogue = await page.engine.call("catalogue", {});
+  store.update({ catalogue, settings: known(settings, catalogue) });
+  await actions.open(store.state.source);
+  window.addEventListener("hashchange", () => actions.follow(location.hash));
+}
+
+/**
+ * The settings without planners and solvers that this build does not have.
+ * @param {Settings} settings
+ * @param {Catalogue} catalogue
+ * @returns {Settings}
+ */
+function known(settings, catalogue) {
+  const planners = settings.planners.filter(name => name === "all" || name.startsWith("ring:") || catalogue.planners.some(p => p.name === name));
+  const solvers = settings.solvers.filter(name => catalogue.solvers.some(s => s.name === name));
+  return {
+    ...settings,
+    planners: planners.length ? planners : DEFAULTS.planners,
+    solvers: solvers.length ? solvers : DEFAULTS.solvers,
+  };
+}
+
+/**
+ * @param {Page} page
+ * @param {Store<State>} store
+ */
+function makeActions(page, store) {
+  const { engine } = page;
+  let opening = new AbortController();
+  let running = new AbortController();
+
+  const refresh = newestOnly(async () => {
+    const { shown: { planner, solver, step }, scale, runs } = store.state;
+    if (!runs.get(planner)?.length) return;
+    try {
+      store.update({ view: await engine.call("view", { planner, solver, step, scale }) });
+      relight();
+    } catch (error) {
+      page.problem("This step can't be shown", error);
+    }
+  });
+
+  const relight = newestOnly(async () => {
+    if (!store.state.view?.normals) return;
+    try {
+      store.update({ relit: await engine.call("relight", { light: store.state.sun }) });
+    } catch (error) {
+      page.problem("The object can't be relit", error);
+    }
+  });
+
+  const actions = {
+    /**
+     * Opens an object and runs the settings on it.
+     * @param {Source} source
+     */
+    async open(source) {
+      opening.abort();
+      running.abort();
+      const { signal } = opening = new AbortController();
+      store.update({ opening: { done: 0, total: 1, what: "opening" } });
+      try {
+        const object = await engine.call("open", { source }, {
+          signal,
+          onProgress: progress => { if (!signal.aborted) store.update({ opening: progress }); },
+        });
+        store.update({ source, object, stack: null });
+        for (const note of object.notes) page.announce(note);
+        actions.link();
+        store.update({ opening: null });
+        await actions.run();
+      } catch (error) {
+        page.problem("This object can't be opened", error, source.kind === "files" ? ADVICE : undefined);
+      } finally {
+        if (opening.signal === signal) store.update({ opening: null });
+      }
+    },
+
+    cancelOpening() {
+      opening.abort();
+      page.announce("Opening was cancelled.");
+    },
+
+    /** @param {Partial<Settings>} patch */
+    change(patch) {
+      store.update({ settings: { ...store.state.settings, ...patch } });
+      actions.link();
+    },
+
+    /** Puts the settings into the address. */
+    link() {
+      const { settings, source } = store.state;
+      history.replaceState(null, "", toHash(settings, source.kind === "built-in" ? source : null));
+    },
+
+    /** @param {string} hash an address that someone has typed or pasted */
+    async follow(hash) {
+      const { settings, builtIn } = fromHash(hash);
+      const { catalogue, source } = store.state;
+      store.update({ settings: catalogue ? known(settings, catalogue) : settings });
+      if (source.kind === "built-in" && JSON.stringify(source) !== JSON.stringify(builtIn)) await actions.open(builtIn);
+      else await actions.run();
+    },
+
+    /** Runs the settings on the object; ends a run that is under way. */
+    async run() {
+      running.abort();
+      const { signal } = running = new AbortController();
+      const { settings, shown } = store.state;
+      const planner = settings.planners.includes(shown.planner) ? shown.planner : settings.planners[settings.planners.length > 1 ? 1 : 0];
+      const solver = settings.solvers.includes(shown.solver) ? shown.solver : settings.solvers[0];
+      let following = true;
+      store.update({
+        running: { done: 0, total: 1 }, runs: new Map(), rows: [], report: null, ran: settings, view: null, relit: null,
+        shown: { planner, solver, step: 0 },
+      });
+      page.announce("Running.");
+      try {
+        const stack = await engine.call("prepare", { protocol: settings.protocol }, { signal });
+        store.update({ stack });
+        const report = await engine.call("run", { settings }, {
+          signal,
+          onProgress: ({ done, total, step, row }) => {
+            if (signal.aborted) return;
+            const { runs, rows, shown: now } = store.state;
+            store.update({ running: { done, total }, ...(row.length ? { rows: [...rows, ...row] } : {}) });
+            if (!step) return;
+            const steps = [...(runs.get(step.name) ?? []), step];
+            store.update({ runs: new Map(runs).set(step.name, steps) });
+            // The view follows the run that is shown, until someone looks at an earlier step.
+            following &&= now.step === 0 || now.step >= steps.length - 1 || now.planner !== step.name;
+            if (following && now.planner === step.name) actions.show({ step: steps.length });
+          },
+        });
+        store.update({ report, rows: report.results });
+        page.announce(summary(report));
+      } catch (error) {
+        if (isAbort(error) && running.signal === signal) page.announce("The run was cancelled.");
+        page.problem("The run has failed", error);
+      } finally {
+        if (running.signal === signal) store.update({ running: null });
+      }
+    },
+
+    cancel() {
+      running.abort();
+      store.update({ running: null });
+    },
+
+    /** @param {Partial<Shown>} patch */
+    show(patch) {
+      const shown = { ...store.state.shown, ...patch };
+      const steps = store.state.runs.get(shown.planner)?.length ?? 0;
+      if (patch.planner && patch.step === undefined) shown.step = steps;
+      shown.step = Math.min(Math.max(shown.step, 1), Math.max(steps, 1));
+      store.update({ shown });
+      refresh();
+    },
+
+    /** @param {number} scale degrees */
+    rescale(scale) {
+      store.update({ scale });
+      refresh();
+    },
+
+    /** @param {Direction} sun */
+    relight(sun) {
+      store.update({ sun });
+      relight();
+    },
+  };
+  return actions;
+}
+
+const ADVICE = "Expected is a DiLiGenT object: a folder (or a .zip of it) with filenames.txt, light_directions.txt, "
+  + "light_intensities.txt, mask.png, the images, and Normal_gt.mat or normal.txt where the true normals are known.";
+
+/** @param {Report} report */
+function summary(report) {
+  const best = report.results.filter(row => row.mae !== null && !row.oracle).sort((a, b) => (a.mae ?? 0) - (b.mae ?? 0))[0];
+  return best ? `Done. Best: ${best.planner} with ${best.solver}, ${best.mae?.toFixed(2)} degrees.` : "Done.";
+}
+
+export { BUILT_IN };

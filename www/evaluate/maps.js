@@ -1,0 +1,106 @@
+// What one step gives: the picture, the normals, their error, and the object under another light.
+
+import { newestOnly } from "../store.js";
+import { draw, find, html } from "../svg.js";
+import { angles } from "../dome.js";
+import { savePicture } from "./export.js";
+
+/** @typedef {import("./evaluate.js").Panel} Panel */
+/** @typedef {import("../messages.js").Picture} Picture */
+
+/** Upper ends of the error map's scale, degrees. */
+const SCALES = [10, 20, 30, 45, 90];
+
+/**
+ * @param {HTMLElement} root
+ * @param {Panel} panel
+ */
+export function mountMaps(root, { page, store, actions }) {
+  root.innerHTML = `
+    <div class="head"><h2 id="maps-title">What this step gives</h2>
+      <label class="row"><span class="note">Error scale</span><select class="scale-choice">${SCALES.map(s => `<option value="${s}">0–${s}°</option>`).join("")}</select></label></div>
+    <div class="map-grid"></div>
+    <p class="readout" aria-hidden="true"></p>`;
+  const grid = find(root, ".map-grid", HTMLElement);
+  const readout = find(root, ".readout", HTMLElement);
+  const choice = find(root, "select", HTMLSelectElement);
+
+  const image = figure("image", "Picture", "No picture yet");
+  const normals = figure("normals", "Normals", "Normals need three lights");
+  const errors = figure("errors", "Angular error", "Errors need true normals and three lights");
+  const relit = figure("relit", "Relit", "Drag the sun on the dome once there are normals");
+  grid.append(image.element, normals.element, errors.element, relit.element);
+
+  const bar = html("canvas", { width: 128, height: 1, "aria-hidden": "true" });
+  const top = html("span", { class: "number" });
+  errors.element.append(html("div", { class: "scale" }, html("span", { class: "number" }, "0°"), bar, top));
+
+  choice.addEventListener("change", () => actions.rescale(Number(choice.value)));
+
+  /**
+   * @param {"image" | "normals" | "errors" | "relit"} id
+   * @param {string} title
+   * @param {string} empty
+   */
+  function figure(id, title, empty) {
+    const canvas = html("canvas", { role: "img", width: 1, height: 1, "aria-label": `${title}: none yet` });
+    const hint = html("p", { class: "empty" }, empty);
+    const note = html("span", { class: "note number" });
+    const save = html("button", { type: "button", class: "button small save", hidden: true, "aria-label": `Save ${title.toLowerCase()}` }, "Save PNG");
+    save.addEventListener("click", () => savePicture(page, store.state, id).catch(error => page.problem("The picture could not be saved", error)));
+    const element = html("figure", { class: `map map-${id}` }, html("div", { class: "frame" }, canvas, hint, save),
+      html("figcaption", {}, html("b", {}, title), note));
+    /**
+     * @param {Picture | null} picture
+     * @param {string} text
+     */
+    const show = (picture, text) => {
+      note.textContent = picture ? text : "";
+      hint.hidden = Boolean(picture);
+      save.hidden = canvas.hidden = !picture;
+      if (picture) draw(canvas, picture);
+      canvas.setAttribute("aria-label", picture ? `${title}: ${text}` : `${title}: none yet`);
+    };
+    show(null, "");
+    if (id === "normals" || id === "errors") {
+      canvas.addEventListener("pointermove", event => {
+        const box = canvas.getBoundingClientRect();
+        const scale = Math.min(box.width / canvas.width, box.height / canvas.height);
+        const x = (event.clientX - box.left - (box.width - canvas.width * scale) / 2) / scale;
+        const y = (event.clientY - box.top - (box.height - canvas.height * scale) / 2) / scale;
+        look(Math.floor(x), Math.floor(y));
+      });
+      canvas.addEventListener("pointerleave", () => { readout.textContent = ""; });
+    }
+    return { element, show };
+  }
+
+  const look = newestOnly(async (/** @type {number} */ x, /** @type {number} */ y) => {
+    const pixel = await page.engine.call("pixel", { x, y }).catch(() => null);
+    readout.textContent = !pixel ? "" : `Pixel ${pixel.x}, ${pixel.y}`
+      + (pixel.normal ? `: normal ${pixel.normal.map(v => v.toFixed(3)).join(", ")}` : "")
+      + (pixel.error === null ? "" : `, error ${pixel.error.toFixed(2)}°`);
+  });
+
+  store.watch(["view"], ({ view, runs, shown }) => {
+    const step = runs.get(shown.planner)?.[shown.step - 1]?.step;
+    image.show(view?.image ?? null, step?.name ?? `light ${shown.step}`);
+    normals.show(view?.normals ?? null, view?.invalid ? `${view.invalid} pixels not solved` : `from ${shown.step} lights`);
+    const mean = typeof view?.mae === "number" ? `mean ${view.mae.toFixed(2)}°` : "";
+    errors.show(view?.errors ?? null, view?.unknown ? `${mean}, ${view.unknown} pixels without truth` : mean);
+  });
+  store.watch(["relit"], ({ relit: picture, sun }) => {
+    const { azimuth, slant } = angles(sun);
+    relit.show(picture, `${azimuth.toFixed(0)}°, ${slant.toFixed(0)}°`);
+  });
+  store.watch(["scale", "catalogue"], async ({ scale, catalogue }) => {
+    choice.value = String(scale);
+    top.textContent = `${scale}°`;
+    if (!catalogue) return;
+    try {
+      draw(bar, await page.engine.call("colours", { scale, width: 128 }));
+    } catch (error) {
+      page.problem("The scale can't be drawn", error);
+    }
+  });
+}

@@ -1,0 +1,105 @@
+// What to compare, Run and Cancel.
+
+import { find, html } from "../svg.js";
+import { swatch } from "./series.js";
+
+/** @typedef {import("./evaluate.js").Panel} Panel */
+
+/**
+ * @param {HTMLFormElement} root
+ * @param {Panel} panel
+ */
+export function mountSettings(root, { page, store, actions }) {
+  root.innerHTML = `
+    <div class="head" style="margin:0"><h2 id="settings-title">Compare</h2><button type="button" class="button small link">Copy link</button></div>
+    <fieldset class="planners"><legend>Planners</legend></fieldset>
+    <fieldset class="solvers"><legend>Solvers</legend></fieldset>
+    <div class="pair">
+      <div class="field"><label for="lights">Lights, T</label><input id="lights" type="number" min="3" max="1000" step="1" required></div>
+      <div class="field"><label for="draws">Repetitions</label><input id="draws" type="number" min="1" max="1000" step="1" required></div>
+    </div>
+    <div class="field"><label for="protocol">Protocol</label><select id="protocol">
+      <option value="official">official: full resolution</option><option value="128">128: the papers’ tables</option></select></div>
+    <div class="pair">
+      <div class="field"><label for="lookup">Image look-up</label><select id="lookup">
+        <option value="nearest">nearest photo</option><option value="soft">soft blend</option></select></div>
+      <div class="field tau"><label for="tau">τ, radians</label><input id="tau" type="number" min="0.001" max="10" step="any" value="0.02" required></div>
+    </div>
+    <div class="field"><label for="seed">Seed</label><input id="seed" type="number" min="0" max="4294967295" step="1" required></div>
+    <div class="run">
+      <div class="progress" hidden><progress max="1" aria-label="Run"></progress><span class="what number"></span></div>
+      <div class="row"><button type="submit" class="button primary">Run</button><button type="button" class="button cancel" disabled>Cancel</button></div>
+    </div>`;
+  const planners = find(root, ".planners", HTMLElement);
+  const solvers = find(root, ".solvers", HTMLElement);
+  const number = (/** @type {string} */ id) => find(root, `#${id}`, HTMLInputElement);
+  const protocol = find(root, "#protocol", HTMLSelectElement);
+  const lookup = find(root, "#lookup", HTMLSelectElement);
+  const run = find(root, ".primary", HTMLButtonElement);
+  const cancel = find(root, ".cancel", HTMLButtonElement);
+  const progress = find(root, ".progress", HTMLElement);
+
+  const checked = (/** @type {HTMLElement} */ group) =>
+    [...group.querySelectorAll("input")].filter(input => input.checked).map(input => input.value);
+
+  const read = () => {
+    const first = planners.querySelector("input");
+    first?.setCustomValidity(checked(planners).length ? "" : "Choose at least one planner.");
+    const firstSolver = solvers.querySelector("input");
+    firstSolver?.setCustomValidity(checked(solvers).length ? "" : "Choose at least one solver.");
+    if (!root.checkValidity()) return false;
+    actions.change({
+      planners: checked(planners), solvers: checked(solvers), lights: [number("lights").valueAsNumber],
+      draws: number("draws").valueAsNumber, seed: number("seed").valueAsNumber, protocol: protocol.value === "128" ? "128" : "official",
+      lookups: [lookup.value === "soft" ? `soft:${number("tau").valueAsNumber}` : "nearest"],
+    });
+    return true;
+  };
+  root.addEventListener("change", read);
+  root.addEventListener("submit", event => {
+    event.preventDefault();
+    if (read()) actions.run();
+  });
+  cancel.addEventListener("click", () => actions.cancel());
+  find(root, ".link", HTMLElement).addEventListener("click", async () => {
+    try {
+      await navigator.clipboard.writeText(location.href);
+      page.announce("The link to these settings was copied.");
+    } catch {
+      page.problem("The link could not be copied", "The browser did not allow it.", "Copy it from the address bar: it always holds the settings.");
+    }
+  });
+
+  store.watch(["catalogue"], ({ catalogue }) => {
+    if (!catalogue) return;
+    planners.replaceChildren(planners.children[0], ...catalogue.planners.map(({ name, label, about }) => {
+      const id = `planner-${name}`;
+      return html("div", { class: "choice" }, html("input", { type: "checkbox", id, value: name, "aria-describedby": `${id}-about` }),
+        swatch(name), html("label", { for: id, title: about }, label), html("small", { id: `${id}-about`, class: "hidden" }, about));
+    }));
+    solvers.replaceChildren(solvers.children[0], ...catalogue.solvers.map(({ name, about }) => {
+      const id = `solver-${name}`;
+      return html("div", { class: "choice" }, html("input", { type: "checkbox", id, value: name }), html("span"), html("label", { for: id }, about));
+    }));
+  });
+  store.watch(["settings", "catalogue"], ({ settings }) => {
+    for (const input of planners.querySelectorAll("input")) input.checked = settings.planners.includes(input.value);
+    for (const input of solvers.querySelectorAll("input")) input.checked = settings.solvers.includes(input.value);
+    number("lights").value = String(settings.lights[0]);
+    number("draws").value = String(settings.draws);
+    number("seed").value = String(settings.seed);
+    protocol.value = settings.protocol;
+    const [kind, tau] = settings.lookups[0].split(":");
+    lookup.value = kind;
+    if (tau) number("tau").value = tau;
+    number("tau").disabled = kind !== "soft";
+  });
+  store.watch(["running", "object"], ({ running, object }) => {
+    run.disabled = !object;
+    cancel.disabled = !running;
+    progress.hidden = !running;
+    if (!running) return;
+    find(progress, "progress", HTMLProgressElement).value = running.done / Math.max(1, running.total);
+    find(progress, ".what", HTMLElement).textContent = `${running.done} of ${running.total}`;
+  });
+}

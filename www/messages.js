@@ -1,0 +1,112 @@
+// Every message between the page, its worker and the decoders. Types only.
+//
+// The page asks the worker with a `Request`, the worker answers with `Progress` (any number) and one `Done` or
+// `Failed` of the same id. `Abort` ends a request early: it fails with an AbortError.
+
+/**
+ * A unit direction towards a light: x right, y up, z to the camera.
+ * @typedef {[number, number, number]} Direction
+ *
+ * What the core offers.
+ * @typedef {import("./pkg/core/coil_ps.js").Catalogue} Catalogue
+ *
+ * What to compare.
+ * @typedef {import("./pkg/core/coil_ps.js").Settings} Settings
+ *
+ * One light of a run: asked for and used.
+ * @typedef {import("./pkg/core/coil_ps.js").StepInfo} StepInfo
+ *
+ * One row of the table, as `coil eval --json` writes it.
+ * @typedef {import("./pkg/core/coil_ps.js").ResultRow} ResultRow
+ *
+ * A whole table, as `coil eval --json` writes it.
+ * @typedef {import("./pkg/core/coil_ps.js").Report} Report
+ *
+ * RGBA, 8 bit, row by row; transferred, never copied.
+ * @typedef {{ width: number, height: number, data: ArrayBuffer }} Picture
+ *
+ * A file of a dropped or chosen folder, with its path in it.
+ * @typedef {{ path: string, file: File }} NamedFile
+ *
+ * Where an object comes from; enough to open it again.
+ * @typedef {{ kind: "built-in", shape: string, material: string, seed: number }
+ *   | { kind: "files", files: NamedFile[], object: string | null }} Source
+ *
+ * The object that was opened.
+ * @typedef {object} ObjectInfo
+ * @property {string} name
+ * @property {number} bits bits a channel
+ * @property {number} images
+ * @property {number} width of an image, pixels
+ * @property {number} height
+ * @property {number} pixels of the mask
+ * @property {boolean} truth whether true normals are known
+ * @property {string[]} notes what was odd in the files but could be mended
+ * @property {string[]} objects names of all objects among the files
+ * @property {number} seconds from the request to the stack
+ *
+ * The stack that a protocol makes of the object.
+ * @typedef {object} StackInfo
+ * @property {string} protocol
+ * @property {number} width
+ * @property {number} height
+ * @property {number} pixels
+ * @property {boolean} truth
+ * @property {Direction[]} lights the candidates
+ * @property {string[]} names of the images
+ * @property {number} reach largest slant, degrees
+ *
+ * @typedef {{ name: string, step: StepInfo, mae: Record<string, number | null>, thumbnail: Picture }} RunStep
+ * name: the planner; mae: degrees, by solver, null before three lights or without truth
+ *
+ * What is shown of one step of one run.
+ * @typedef {object} StepView
+ * @property {Picture} image the last picture taken
+ * @property {Picture | null} normals null before three lights
+ * @property {Picture | null} errors null before three lights and without truth
+ * @property {number | null} mae degrees
+ * @property {number} unknown pixels without a true normal, which count as 90°
+ * @property {number} invalid pixels with too few usable values
+ *
+ * The value of the pixel under the pointer.
+ * @typedef {object} PixelInfo
+ * @property {number} x column in the image
+ * @property {number} y row
+ * @property {Direction | null} normal
+ * @property {number | null} error degrees
+ */
+
+/**
+ * Requests: what each carries, what it answers, what its progress reports.
+ * @typedef {object} Calls
+ * @property {{ body: {}, reply: Catalogue, progress: never }} catalogue
+ * @property {{ body: { source: Source }, reply: ObjectInfo, progress: { done: number, total: number, what: string } }} open
+ * @property {{ body: { protocol: string }, reply: StackInfo, progress: never }} prepare
+ * @property {{ body: { settings: Settings }, reply: Report, progress: { done: number, total: number, step: RunStep | null, row: ResultRow[] } }} run
+ * @property {{ body: { planner: string, solver: string, step: number, scale: number }, reply: StepView, progress: never }} view
+ * @property {{ body: { light: Direction }, reply: Picture, progress: never }} relight
+ * @property {{ body: { index: number, size: number }, reply: Picture, progress: never }} photo
+ * @property {{ body: { x: number, y: number }, reply: PixelInfo | null, progress: never }} pixel
+ * @property {{ body: { scale: number, width: number }, reply: Picture, progress: never }} colours
+ * @property {{ body: { what: "normals" | "errors" | "image" | "relit" | "lp" | "depth" }, reply: { bytes: ArrayBuffer, type: string, name: string }, progress: never }} export
+ */
+
+/** @typedef {keyof Calls} Kind */
+/** @typedef {{ [K in Kind]: { id: number, kind: K } & Calls[K]["body"] }[Kind]} Request */
+/** @typedef {{ id: number, kind: "abort" }} Abort */
+/** @typedef {{ id: number, type: "progress", value: unknown }} Progress */
+/** @typedef {{ id: number, type: "done", value: unknown }} Done */
+/** @typedef {{ id: number, type: "failed", error: { name: string, message: string } }} Failed */
+/** @typedef {Progress | Done | Failed} Reply */
+
+/**
+ * To a decoder: the compiled module first, then the mask and the images of an object.
+ * @typedef {{ kind: "module", module: WebAssembly.Module }
+ *   | { kind: "image", id: number, bytes: File | ArrayBuffer, name: string }} DecoderRequest
+ *
+ * @typedef {{ kind: "ready" }
+ *   | { kind: "image", id: number, pixels: ArrayBuffer }
+ *   | { kind: "failed", id: number, message: string }} DecoderReply
+ */
+
+export {};

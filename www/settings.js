@@ -1,0 +1,91 @@
+// What is to be compared: kept in the address, so that a link shows the same table.
+
+/** @typedef {import("./messages.js").Settings} Settings */
+/** @typedef {{ kind: "built-in", shape: string, material: string, seed: number }} BuiltIn */
+
+/** @type {Settings} */
+export const DEFAULTS = {
+  planners: ["random", "dc05v", "tk22", "lipids", "oracle"],
+  solvers: ["ls"],
+  lights: [10],
+  protocol: "official",
+  lookups: ["nearest"],
+  draws: 5,
+  seed: 1,
+};
+
+/** @type {BuiltIn} */
+export const BUILT_IN = { kind: "built-in", shape: "blob", material: "", seed: 1 };
+
+const NAME = /^[\w:.+-]{1,64}$/;
+
+/**
+ * @param {string | null} text
+ * @param {string[]} fallback
+ */
+function names(text, fallback) {
+  const list = (text ?? "").split(",").filter(name => NAME.test(name));
+  return list.length ? [...new Set(list)] : fallback;
+}
+
+/**
+ * @param {string | null} text
+ * @param {number} low
+ * @param {number} high
+ * @param {number} fallback
+ */
+function whole(text, low, high, fallback) {
+  const value = Number(text ?? NaN);
+  return Number.isInteger(value) && value >= low && value <= high ? value : fallback;
+}
+
+/**
+ * The settings in an address (`location.hash`); what it lacks or garbles is the default.
+ * @param {string} hash
+ * @returns {{ settings: Settings, builtIn: BuiltIn }}
+ */
+export function fromHash(hash) {
+  const fields = new URLSearchParams(hash.replace(/^#/, ""));
+  const protocol = fields.get("protocol");
+  const [shape = BUILT_IN.shape, seed = null] = (fields.get("object") ?? "").split(":").filter(Boolean);
+  return {
+    settings: {
+      planners: names(fields.get("planners"), DEFAULTS.planners),
+      solvers: names(fields.get("solvers"), DEFAULTS.solvers),
+      lights: [whole(fields.get("lights"), 3, 1000, DEFAULTS.lights[0])],
+      protocol: protocol === "128" || protocol === "official" ? protocol : DEFAULTS.protocol,
+      lookups: names(fields.get("lookup"), DEFAULTS.lookups).slice(0, 1),
+      draws: whole(fields.get("draws"), 1, 1000, DEFAULTS.draws),
+      seed: whole(fields.get("seed"), 0, 2 ** 32 - 1, DEFAULTS.seed),
+    },
+    builtIn: {
+      kind: "built-in",
+      shape: NAME.test(shape) ? shape : BUILT_IN.shape,
+      seed: whole(seed, 0, 2 ** 32 - 1, BUILT_IN.seed),
+      material: names(fields.get("material"), [BUILT_IN.material])[0],
+    },
+  };
+}
+
+/**
+ * The address that holds these settings.
+ * @param {Settings} settings
+ * @param {BuiltIn | null} builtIn null for an object of the user's, which no link can hold
+ */
+export function toHash(settings, builtIn) {
+  const fields = new URLSearchParams({
+    planners: settings.planners.join(","),
+    solvers: settings.solvers.join(","),
+    lights: String(settings.lights[0]),
+    protocol: settings.protocol,
+    lookup: settings.lookups[0],
+    draws: String(settings.draws),
+    seed: String(settings.seed),
+  });
+  if (builtIn) {
+    fields.set("object", `${builtIn.shape}:${builtIn.seed}`);
+    if (builtIn.material) fields.set("material", builtIn.material);
+  }
+  // Commas and colons are legal here and easier to read.
+  return `#${fields.toString().replaceAll("%2C", ",").replaceAll("%3A", ":")}`;
+}

@@ -1,0 +1,62 @@
+// One object of state and who wants to know when a part of it changes.
+
+/**
+ * @template {object} S
+ */
+export class Store {
+  /** @type {{ keys: (keyof S)[], listener: (state: Readonly<S>) => void }[]} */
+  #listeners = [];
+
+  /** @param {S} state */
+  constructor(state) {
+    /** @type {Readonly<S>} */
+    this.state = state;
+  }
+
+  /**
+   * Replaces parts of the state.
+   * @param {Partial<S>} patch
+   */
+  update(patch) {
+    const before = this.state;
+    this.state = { ...before, ...patch };
+    const changed = /** @type {(keyof S)[]} */ (Object.keys(patch)).filter(key => before[key] !== this.state[key]);
+    for (const { keys, listener } of this.#listeners) {
+      if (keys.some(key => changed.includes(key))) listener(this.state);
+    }
+  }
+
+  /**
+   * Calls `listener` now and whenever one of `keys` has changed.
+   * @param {(keyof S)[]} keys
+   * @param {(state: Readonly<S>) => void} listener
+   */
+  watch(keys, listener) {
+    this.#listeners.push({ keys, listener });
+    listener(this.state);
+  }
+}
+
+/**
+ * Makes of an asynchronous function one that runs once at a time and skips all calls but the newest.
+ * @template {unknown[]} A
+ * @param {(...args: A) => Promise<void>} work
+ * @returns {(...args: A) => void}
+ */
+export function newestOnly(work) {
+  let busy = false;
+  /** @type {A | null} */
+  let next = null;
+  return (...args) => {
+    next = args;
+    if (busy) return;
+    busy = true;
+    (async () => {
+      while (next) {
+        const now = next;
+        next = null;
+        await work(...now);
+      }
+    })().finally(() => { busy = false; });
+  };
+}
