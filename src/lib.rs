@@ -26,3 +26,7 @@ pub mod solve;
 pub mod stack;
 
 pub mod eval;
+pub mod view;
+
+#[cfg(target_arch = "wasm32")]
+pub mod web;

@@ -250,7 +250,20 @@ impl Run {
 /// # Errors
 /// [`SessionError`]: the planner is not defined there, or the camera or a solver failed.
 pub fn run(subject: &Subject, spec: &RunSpec, solvers: &[String]) -> Result<Run, SessionError> {
-    let seen = if spec.planner == ALL_LIGHTS { every_light(subject)? } else { plan(subject, spec)? };
+    run_watched(subject, spec, solvers, &mut |_| ())
+}
+
+/// [`run`], with a look at the pictures so far after each of them.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_watched(
+    subject: &Subject,
+    spec: &RunSpec,
+    solvers: &[String],
+    watch: &mut dyn FnMut(&[Observation]),
+) -> Result<Run, SessionError> {
+    let seen = if spec.planner == ALL_LIGHTS { every_light(subject)? } else { plan(subject, spec, watch)? };
     let mut mae = Vec::with_capacity(solvers.len());
     for name in solvers {
         let solver = solve::by_name(name).map_err(|e| solve::SolveError::Model(e.to_string()))?;
@@ -276,7 +289,11 @@ fn every_light(subject: &Subject) -> Result<Vec<Observation>, SessionError> {
         .collect())
 }
 
-fn plan(subject: &Subject, spec: &RunSpec) -> Result<Vec<Observation>, SessionError> {
+fn plan(
+    subject: &Subject,
+    spec: &RunSpec,
+    watch: &mut dyn FnMut(&[Observation]),
+) -> Result<Vec<Observation>, SessionError> {
     let info = planner::info(&spec.planner)?;
     let stored;
     let (camera, truth): (&dyn Camera, _) = match *subject {
@@ -292,6 +309,7 @@ fn plan(subject: &Subject, spec: &RunSpec) -> Result<Vec<Observation>, SessionEr
     while let Step::Capture(direction) = session.step()? {
         let picture = camera.capture(direction, session.seen())?;
         session.observe(picture)?;
+        watch(session.seen());
     }
     Ok(session.into_seen())
 }

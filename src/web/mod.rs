@@ -1,0 +1,137 @@
+//! The crate in JavaScript: newtypes that convert, make one call and convert back.
+//!
+//! Directions are `[x, y, z]` unit vectors or `Float32Array`s of three numbers each: x right, y up, z to the camera.
+//! Angles are degrees here. Every function that can fail throws an `Error` with the message of the crate's error.
+
+mod evaluation;
+mod object;
+mod picture;
+mod session;
+mod stack;
+
+pub use evaluation::{Evaluation, catalogue};
+pub use object::{Object, ObjectFiles, ObjectHeader, Pixels, decode_pixels};
+pub use picture::{Picture, colour_bar};
+pub use session::Session;
+pub use stack::{Observations, Relit, Solution, Stack};
+
+use glam::Vec3;
+use serde::Serialize;
+use wasm_bindgen::prelude::*;
+
+/// What the functions that return plain objects return.
+#[wasm_bindgen(typescript_custom_section)]
+const TYPES: &str = r#"
+/** A unit direction towards a light: x right, y up, z to the camera. */
+export type Direction = [number, number, number];
+
+/** What this build can compute. */
+export interface Catalogue {
+  planners: PlannerInfo[];
+  solvers: { name: string; about: string }[];
+  protocols: ("official" | "128")[];
+  version: string;
+}
+
+/** A planner. */
+export interface PlannerInfo {
+  name: string;
+  label: string;
+  /** One line on how it chooses. */
+  about: string;
+  choice: "candidates" | "fixed" | "continuous";
+  /** Whether it looks at the pictures taken so far. */
+  online: boolean;
+  /** Whether it sees the ground truth: an upper bound, not a planner. */
+  oracle: boolean;
+}
+
+/** What to compare; the same names and values as on the command line of `coil eval`. */
+export interface Settings {
+  planners: string[];
+  solvers: string[];
+  /** Numbers of lights, T. */
+  lights: number[];
+  protocol: "official" | "128";
+  /** `nearest` or `soft:TAU`. */
+  lookups: string[];
+  /** Repetitions. */
+  draws: number;
+  seed: number;
+}
+
+/** One picture of a run. */
+export interface StepInfo {
+  /** The direction that was asked for. */
+  requested: Direction;
+  /** The direction of the light in the picture. */
+  used: Direction;
+  /** Angle between the two, degrees. */
+  deviation: number;
+  /** Number of the stored photo, where it is a single one. */
+  image: number | null;
+  /** Its file name. */
+  name: string | null;
+  /** How many stored photos the picture is made of. */
+  effective: number;
+}
+
+/** One line of the table; `benchmarks/results.schema.json` says what each field is. */
+export interface ResultRow {
+  object: string;
+  bits: number | null;
+  protocol: "official" | "128" | null;
+  lookup: string;
+  planner: string;
+  oracle: boolean;
+  solver: string;
+  lights: number;
+  draws: number;
+  seed: number;
+  mae: number | null;
+  ci95: [number, number] | null;
+  mae_as_published: number | null;
+  maes: number[];
+  effective_images: number | null;
+  deviation: number | null;
+  error?: string;
+}
+
+/** A table, as `coil eval --json` writes it. */
+export interface Report {
+  schema: string;
+  generator: string;
+  settings: Settings;
+  results: ResultRow[];
+  means: ResultRow[];
+}
+"#;
+
+fn fail(error: impl std::fmt::Display) -> JsError {
+    JsError::new(&error.to_string())
+}
+
+/// A plain JavaScript object; numbers of 64 bits become numbers, absent options become null.
+fn plain(value: &impl Serialize) -> Result<JsValue, JsError> {
+    let json = serde_wasm_bindgen::Serializer::json_compatible();
+    value.serialize(&json).map_err(fail)
+}
+
+fn direction(values: &[f32]) -> Result<Vec3, JsError> {
+    match *values {
+        [x, y, z] => Ok(Vec3::new(x, y, z)),
+        _ => Err(fail(format!("a direction has 3 numbers, not {}", values.len()))),
+    }
+}
+
+fn directions(values: &[f32]) -> Result<Vec<Vec3>, JsError> {
+    if values.len() % 3 == 0 {
+        Ok(values.chunks_exact(3).map(Vec3::from_slice).collect())
+    } else {
+        Err(fail(format!("{} numbers: a list of directions has three for each", values.len())))
+    }
+}
+
+fn flat(directions: &[Vec3]) -> Vec<f32> {
+    directions.iter().flat_map(|d| d.to_array()).collect()
+}

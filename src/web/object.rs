@@ -1,0 +1,202 @@
+//! Datasets: names and bytes in, an object out, with the images decoded wherever the caller likes.
+
+use super::{fail, stack::Stack};
+use crate::dataset::diligent::{self, Header};
+use crate::dataset::{Limits, Memory};
+use crate::eval::Protocol;
+use crate::stack::{BitDepth, Mask, RawStack};
+use wasm_bindgen::prelude::*;
+
+/// The files of a dataset in DiLiGenT's layout: one object, or a folder of them.
+#[wasm_bindgen]
+#[derive(Default)]
+pub struct ObjectFiles(Memory);
+
+#[wasm_bindgen]
+impl ObjectFiles {
+    /// No file yet.
+    #[wasm_bindgen(constructor)]
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds a file with its bytes. Names are relative, with '/' between folders.
+    pub fn add(&mut self, name: &str, bytes: Vec<u8>) -> Result<(), JsError> {
+        self.0.insert(name, bytes).map_err(fail)
+    }
+
+    /// Adds a file whose bytes stay elsewhere: an image that is decoded by `decodePixels`.
+    pub fn list(&mut self, name: &str) -> Result<(), JsError> {
+        self.0.list(name).map_err(fail)
+    }
+
+    /// Folders of all objects, sorted.
+    #[must_use]
+    pub fn objects(&self) -> Vec<String> {
+        diligent::find_objects(&self.0)
+    }
+
+    /// Reads and checks everything of the object in `folder` but its images.
+    pub fn header(&self, folder: &str) -> Result<ObjectHeader, JsError> {
+        let header = Header::read(&self.0, folder, &Limits::default()).map_err(fail)?;
+        let pixels = header.images.iter().map(|_| None).collect();
+        Ok(ObjectHeader { header, pixels })
+    }
+}
+
+/// Everything of one object but its images, and the images as they are put in.
+#[wasm_bindgen]
+pub struct ObjectHeader {
+    header: Header,
+    pixels: Vec<Option<diligent::Pixels>>,
+}
+
+#[wasm_bindgen]
+impl ObjectHeader {
+    /// Names of the image files, with their folder, in the order of the lights.
+    #[wasm_bindgen(getter)]
+    #[must_use]
+    pub fn images(&self) -> Vec<String> {
+        (0..self.header.images.len()).map(|k| self.header.path(k)).collect()
+    }
+
+    /// Width of the images in pixels.
+    #[wasm_bindgen(getter)]
+    #[must_use]
+    pub fn width(&self) -> u32 {
+        self.header.mask.width()
+    }
+
+    /// Height of the images in pixels.
+    #[wasm_bindgen(getter)]
+    #[must_use]
+    pub fn height(&self) -> u32 {
+        self.header.mask.height()
+    }
+
+    /// The object's pixels: a byte for each pixel of the image, 1 or 0. `decodePixels` takes it.
+    #[must_use]
+    pub fn mask(&self) -> Vec<u8> {
+        self.header.mask.scatter(&vec![1; self.header.mask.len()], 0)
+    }
+
+    /// What a user should know of the files, though they can be used.
+    #[wasm_bindgen(getter)]
+    #[must_use]
+    pub fn notes(&self) -> Vec<String> {
+        self.header.warnings.iter().map(ToString::to_string).collect()
+    }
+
+    /// Puts in image `k`: bits a channel and RGB code values of the mask pixels, from `decodePixels`.
+    pub fn put(&mut self, k: usize, bits: u8, rgb: &[u16]) -> Result<(), JsError> {
+        let count = self.pixels.len();
+        let slot = self.pixels.get_mut(k).ok_or_else(|| fail(format!("image {k} of {count}")))?;
+        let bits = BitDepth::try_from(bits).map_err(fail)?;
+        *slot = Some(diligent::Pixels { bits, rgb: rgb.as_chunks().0.to_vec() });
+        Ok(())
+    }
+
+    /// The object, when all images are in.
+    pub fn assemble(self) -> Result<Object, JsError> {
+        self.header.assemble(self.pixels.into_iter().flatten().collect()).map(Object).map_err(fail)
+    }
+}
+
+/// The mask pixels of one image.
+#[wasm_bindgen]
+pub struct Pixels(diligent::Pixels);
+
+#[wasm_bindgen]
+impl Pixels {
+    /// Bits a channel.
+    #[wasm_bindgen(getter)]
+    #[must_use]
+    pub fn bits(&self) -> u8 {
+        self.0.bits.bits()
+    }
+
+    /// RGB code values of the mask pixels, row by row.
+    #[wasm_bindgen(getter)]
+    #[must_use]
+    pub fn rgb(&self) -> Vec<u16> {
+        self.0.rgb.as_flattened().to_vec()
+    }
+}
+
+/// Decodes one PNG: the pixels for which `mask` (a byte a pixel, from `ObjectHeader.mask`) is not 0. `file` is its
+/// name, for messages.
+#[wasm_bindgen(js_name = decodePixels)]
+pub fn decode_pixels(
+    bytes: &[u8],
+    mask: &[u8],
+    width: u32,
+    height: u32,
+    file: &str,
+) -> Result<Pixels, JsError> {
+    let inside: Vec<bool> = mask.iter().map(|&m| m != 0).collect();
+    let mask = Mask::new(width, height, &inside).map_err(fail)?;
+    diligent::decode_pixels(bytes, &mask, file).map(Pixels).map_err(fail)
+}
+
+/// One object as published: code values, light directions and intensities, and the true normals where they are known.
+#[wasm_bindgen]
+pub struct Object(pub(super) RawStack);
+
+#[wasm_bindgen]
+impl Object {
+    /// Its name.
+    #[wasm_bindgen(getter)]
+    #[must_use]
+    pub fn name(&self) -> String {
+        self.0.name.clone()
+    }
+
+    /// Bits a channel.
+    #[wasm_bindgen(getter)]
+    #[must_use]
+    pub fn bits(&self) -> u8 {
+        self.0.bits.bits()
+    }
+
+    /// Number of images.
+    #[wasm_bindgen(getter)]
+    #[must_use]
+    pub fn images(&self) -> usize {
+        self.0.images.len()
+    }
+
+    /// Width of the images in pixels.
+    #[wasm_bindgen(getter)]
+    #[must_use]
+    pub fn width(&self) -> u32 {
+        self.0.mask.width()
+    }
+
+    /// Height of the images in pixels.
+    #[wasm_bindgen(getter)]
+    #[must_use]
+    pub fn height(&self) -> u32 {
+        self.0.mask.height()
+    }
+
+    /// Number of pixels of the object.
+    #[wasm_bindgen(getter)]
+    #[must_use]
+    pub fn pixels(&self) -> usize {
+        self.0.mask.len()
+    }
+
+    /// Whether the true normals are known.
+    #[wasm_bindgen(getter)]
+    #[must_use]
+    pub fn truth(&self) -> bool {
+        self.0.truth.is_some()
+    }
+
+    /// The linear stack that a protocol (`official` or `128`) makes of it.
+    pub fn prepare(&self, protocol: &str) -> Result<Stack, JsError> {
+        let protocol: Protocol = protocol.parse().map_err(fail)?;
+        protocol.apply(&self.0).map(Stack::new).map_err(fail)
+    }
+}
