@@ -22,9 +22,9 @@ import { draw, html, set, svg } from "./svg.js";
 
 const RADIUS = 100;
 /** Sizes in the dome's units, in which its radius is 100. */
-const VIEW = { left: -128, top: -136, width: 256, height: 220 };
+const VIEW = { left: -128, top: -114, width: 256, height: 210 };
 const OBJECT_SIZE = 1.12;
-const DEFAULT_TURN = { yaw: -0.42, tilt: 0.92 };
+const DEFAULT_TURN = { yaw: -0.42, tilt: 0.72 };
 const KEY_STEP = Math.PI / 36;
 
 export class Dome {
@@ -184,7 +184,9 @@ export class Dome {
 
   #drawBack() {
     const flat = Math.cos(this.#tilt);
+    /** @type {SVGElement[]} */
     const parts = [
+      svg("defs", {}, gradient("dome-shell", ["stop-centre", 1], ["stop-edge", 1]), gradient("dome-floor", ["stop-edge", 0.9], ["stop-edge", 0.2])),
       // The outline of a half ball: the half circle that rises above the floor, and the floor's near edge.
       svg("path", { class: "shell", d: `M${-RADIUS} 0A${RADIUS} ${RADIUS} 0 0 1 ${RADIUS} 0A${RADIUS} ${RADIUS * flat} 0 0 1 ${-RADIUS} 0Z` }),
       svg("ellipse", { class: "floor", rx: RADIUS, ry: RADIUS * flat }),
@@ -209,7 +211,7 @@ export class Dome {
       const { x, y } = this.#project(direction);
       const hot = i === this.#hot;
       parts.push(
-        svg("circle", { class: `candidate${hot ? " hot" : ""}`, cx: x.toFixed(2), cy: y.toFixed(2), r: hot ? 4 : 1.7 }),
+        svg("circle", { class: `candidate${hot ? " hot" : ""}`, cx: x.toFixed(2), cy: y.toFixed(2), r: hot ? 3.4 : 1.4 }),
         svg("circle", { class: "hit", cx: x.toFixed(2), cy: y.toFixed(2), r: 5, "data-candidate": i }),
       );
     });
@@ -236,9 +238,9 @@ export class Dome {
         );
       }
       const mark = svg("g", { class: `light${future ? " future" : ""}${i === now ? " now" : ""}`, transform: `translate(${at.x.toFixed(2)} ${at.y.toFixed(2)})` });
-      if (i === now) mark.append(svg("circle", { class: "halo", r: 10.5 }));
-      mark.append(svg("circle", { r: 7, "data-light": i }));
-      if (light.label) mark.append(svg("text", { "font-size": 8.5, y: 0.4 }, light.label));
+      if (i === now) mark.append(svg("circle", { class: "halo", r: 8.5 }));
+      mark.append(svg("circle", { r: 5.6, "data-light": i }));
+      if (light.label) mark.append(svg("text", { y: 0.3 }, light.label));
       parts.push(mark);
     }
     this.#marks.replaceChildren(...parts);
@@ -256,15 +258,17 @@ export class Dome {
     });
     const rays = Array.from({ length: 8 }, (_, i) => {
       const [c, s] = [Math.cos(i * Math.PI / 4), Math.sin(i * Math.PI / 4)];
-      return `M${(8.2 * c).toFixed(2)} ${(8.2 * s).toFixed(2)}L${(11 * c).toFixed(2)} ${(11 * s).toFixed(2)}`;
+      return `M${(6.8 * c).toFixed(2)} ${(6.8 * s).toFixed(2)}L${(9 * c).toFixed(2)} ${(9 * s).toFixed(2)}`;
     }).join("");
     this.#sunMark.replaceChildren(
+      svg("defs", {}, gradient("dome-glow", ["stop-glow", 0.55], ["stop-glow", 0])),
       svg("line", { class: "sun-ray", x1: at.x, y1: at.y, x2: 0, y2: 0 }),
       svg("g", { transform: `translate(${at.x} ${at.y})` },
-        svg("circle", { class: "grab", r: 16 }),
-        svg("circle", { class: "ring", r: 14 }),
+        svg("circle", { class: "glow", r: 22 }),
+        svg("circle", { class: "grab", r: 15 }),
+        svg("circle", { class: "ring", r: 12 }),
         svg("path", { d: rays }),
-        svg("circle", { r: 6 })),
+        svg("circle", { r: 5 })),
     );
   }
 
@@ -273,7 +277,7 @@ export class Dome {
     const { width, height } = this.#canvas;
     const scale = OBJECT_SIZE * RADIUS / Math.hypot(width, height) * 1.15;
     const [sin, cos, flat] = [Math.sin(this.#yaw), Math.cos(this.#yaw), Math.cos(this.#tilt)];
-    // Column and row of the image run along +x and −y.
+    // Columns of the image run along +x, rows along −y.
     return new DOMMatrix([cos * scale, -sin * flat * scale, sin * scale, cos * flat * scale, 0, 0])
       .translate(-width / 2, -height / 2);
   }
@@ -377,6 +381,16 @@ export function angles([x, y, z]) {
   return { azimuth: slant < 0.05 ? 0 : Math.atan2(y, x) * 180 / Math.PI, slant };
 }
 
+/**
+ * A gradient from the middle outwards; its colours are CSS classes with an opacity.
+ * @param {string} id
+ * @param {...[string, number]} stops
+ */
+function gradient(id, ...stops) {
+  return svg("radialGradient", { id, r: 0.62 }, ...stops.map(([name, opacity], i) =>
+    svg("stop", { class: name, offset: i / (stops.length - 1), "stop-opacity": opacity })));
+}
+
 /** @param {number} slant degrees */
 function circle(slant) {
   return Array.from({ length: 73 }, (_, i) => polar(i * 5, slant));
@@ -404,7 +418,7 @@ function between(a, b) {
  * @param {Element} to
  */
 export function copyStyles(from, to) {
-  const wanted = ["fill", "stroke", "stroke-width", "stroke-dasharray", "stroke-linejoin", "opacity", "font", "text-anchor", "dominant-baseline", "display"];
+  const wanted = ["fill", "stroke", "stroke-width", "stroke-dasharray", "stroke-linejoin", "opacity", "font", "text-anchor", "dominant-baseline", "display", "stop-color", "stop-opacity"];
   const style = getComputedStyle(from);
   to.setAttribute("style", wanted.map(name => `${name}:${style.getPropertyValue(name)}`).join(";"));
   [...from.children].forEach((child, i) => copyStyles(child, to.children[i]));

@@ -88,7 +88,7 @@
  * @property {{ body: { index: number, size: number }, reply: Picture, progress: never }} photo
  * @property {{ body: { x: number, y: number }, reply: PixelInfo | null, progress: never }} pixel
  * @property {{ body: { scale: number, width: number }, reply: Picture, progress: never }} colours
- * @property {{ body: { what: "normals" | "errors" | "image" | "relit" | "lp" | "depth" }, reply: { bytes: ArrayBuffer, type: string, name: string }, progress: never }} export
+ * @property {{ body: { what: "normals" | "errors" | "image" | "relit" | "lp" }, reply: { bytes: ArrayBuffer, type: string, name: string }, progress: never }} export
  */
 
 /** @typedef {keyof Calls} Kind */
@@ -100,12 +100,13 @@
 /** @typedef {Progress | Done | Failed} Reply */
 
 /**
- * To a decoder: the compiled module first, then the mask and the images of an object.
+ * To a decoder: the compiled module first, then for each object its mask (a byte a pixel) and its images.
  * @typedef {{ kind: "module", module: WebAssembly.Module }
+ *   | { kind: "object", mask: Uint8Array, width: number, height: number }
  *   | { kind: "image", id: number, bytes: File | ArrayBuffer, name: string }} DecoderRequest
  *
- * @typedef {{ kind: "ready" }
- *   | { kind: "image", id: number, pixels: ArrayBuffer }
+ * From a decoder: RGB code values of the mask pixels, 16 bit each.
+ * @typedef {{ kind: "image", id: number, bits: number, pixels: ArrayBuffer }
  *   | { kind: "failed", id: number, message: string }} DecoderReply
  */
 

@@ -10,7 +10,7 @@ mod session;
 mod stack;
 
 pub use evaluation::{Evaluation, catalogue};
-pub use object::{Object, ObjectFiles, ObjectHeader, Pixels, decode_pixels};
+pub use object::{CapturedObject, ObjectFiles, ObjectHeader, Pixels, decode_pixels};
 pub use picture::{Picture, colour_bar};
 pub use session::Session;
 pub use stack::{Observations, Relit, Solution, Stack};

@@ -98,8 +98,8 @@ impl ObjectHeader {
     }
 
     /// The object, when all images are in.
-    pub fn assemble(self) -> Result<Object, JsError> {
-        self.header.assemble(self.pixels.into_iter().flatten().collect()).map(Object).map_err(fail)
+    pub fn assemble(self) -> Result<CapturedObject, JsError> {
+        self.header.assemble(self.pixels.into_iter().flatten().collect()).map(CapturedObject).map_err(fail)
     }
 }
 
@@ -141,10 +141,10 @@ pub fn decode_pixels(
 
 /// One object as published: code values, light directions and intensities, and the true normals where they are known.
 #[wasm_bindgen]
-pub struct Object(pub(super) RawStack);
+pub struct CapturedObject(pub(super) RawStack);
 
 #[wasm_bindgen]
-impl Object {
+impl CapturedObject {
     /// Its name.
     #[wasm_bindgen(getter)]
     #[must_use]
@@ -198,5 +198,55 @@ impl Object {
     pub fn prepare(&self, protocol: &str) -> Result<Stack, JsError> {
         let protocol: Protocol = protocol.parse().map_err(fail)?;
         protocol.apply(&self.0).map(Stack::new).map_err(fail)
+    }
+}
+
+#[wasm_bindgen]
+impl CapturedObject {
+    /// TEMPORARY.
+    #[wasm_bindgen(js_name = builtIn)]
+    pub fn built_in(shape: &str, _material: &str, seed: u32) -> Result<CapturedObject, JsError> {
+        use glam::Vec3;
+        let n = 160u32;
+        let mut inside = vec![false; (n * n) as usize];
+        let mut truth = Vec::new();
+        for y in 0..n {
+            for x in 0..n {
+                let (u, v) = ((x as f32 + 0.5) / n as f32 * 2.2 - 1.1, 1.1 - (y as f32 + 0.5) / n as f32 * 2.2);
+                if u * u + v * v < 1.0 {
+                    inside[(y * n + x) as usize] = true;
+                    let z = (1.0 - u * u - v * v).sqrt();
+                    let w = 9.0 + seed as f32;
+                    let bump = Vec3::new((w * u + 3.0 * v).sin(), (w * v - 2.0 * u).cos(), 0.0) * 0.25;
+                    truth.push((Vec3::new(u, v, z.max(0.05)) + bump * z).normalize());
+                }
+            }
+        }
+        let mask = Mask::new(n, n, &inside).map_err(fail)?;
+        let lights = crate::light::fibonacci_cap(96, 1.25);
+        let images = lights
+            .iter()
+            .map(|l| {
+                truth
+                    .iter()
+                    .map(|nn| {
+                        let h = (*l + Vec3::Z).normalize();
+                        let d = nn.dot(*l).max(0.0);
+                        let s = if d > 0.0 { nn.dot(h).max(0.0).powf(60.0) * 0.7 } else { 0.0 };
+                        [0.75f32, 0.5, 0.35].map(|c| ((c * d + s) * 40000.0).min(65535.0) as u16)
+                    })
+                    .collect()
+            })
+            .collect();
+        Ok(CapturedObject(RawStack {
+            name: format!("{shape} {seed}"),
+            mask,
+            bits: BitDepth::Sixteen,
+            images,
+            names: (1..=96).map(|k| format!("{k:03}.png")).collect(),
+            lights,
+            intensities: vec![[1.0; 3]; 96],
+            truth: Some(truth),
+        }))
     }
 }

@@ -2,7 +2,7 @@
 
 import { download, find, html, set, svg } from "../svg.js";
 import { copyStyles } from "../dome.js";
-import { dash, label, marker, seriesColour } from "./series.js";
+import { dash, label, marker, seriesColour, solverLabel } from "./series.js";
 
 /** @typedef {import("./evaluate.js").Panel} Panel */
 /** @typedef {import("./evaluate.js").State} State */
@@ -44,7 +44,7 @@ export function mountChart(root, { store, actions }) {
       return;
     }
     host.replaceChildren(plot(series, Math.max(280, host.clientWidth), state, actions));
-    note.textContent = `First draw of each planner, solver ${state.shown.solver}. Lower is better; the oracle sees the truth.`;
+    note.textContent = `First draw of each planner, ${solverLabel(state.shown.solver).toLowerCase()}. Lower is better; the oracle sees the truth.`;
   };
   store.watch(["runs", "shown", "object"], redraw);
   let width = 0;

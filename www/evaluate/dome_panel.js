@@ -3,7 +3,7 @@
 import { angles, Dome } from "../dome.js";
 import { newestOnly } from "../store.js";
 import { download, draw, find, html, set } from "../svg.js";
-import { label, seriesColour } from "./series.js";
+import { label, seriesColour, solverLabel } from "./series.js";
 
 /** @typedef {import("./evaluate.js").Panel} Panel */
 /** @typedef {import("../messages.js").Direction} Direction */
@@ -120,7 +120,7 @@ export function mountDome(root, { page, store, actions }) {
   store.watch(["ran", "catalogue"], ({ ran, catalogue, shown }) => {
     const names = ran?.planners ?? [];
     planner.replaceChildren(...names.map(name => html("option", { value: name, selected: name === shown.planner }, label(catalogue, name))));
-    solver.replaceChildren(...(ran?.solvers ?? []).map(name => html("option", { value: name, selected: name === shown.solver }, name)));
+    solver.replaceChildren(...(ran?.solvers ?? []).map(name => html("option", { value: name, selected: name === shown.solver }, solverLabel(name))));
     solver.hidden = (ran?.solvers.length ?? 0) < 2;
   });
   store.watch(["stack"], ({ stack }) => {

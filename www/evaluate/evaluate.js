@@ -61,13 +61,12 @@ const FIRST_SUN = [-0.38, 0.46, 0.803];
  */
 export async function mount(root, page) {
   const { settings, builtIn } = fromHash(location.hash);
-  /** @type {Store<State>} */
-  const store = new Store({
+  const store = new Store(/** @type {State} */ ({
     catalogue: null, settings, source: builtIn, object: null, stack: null, opening: null, running: null,
     runs: new Map(), rows: [], report: null, ran: null,
     shown: { planner: "", solver: settings.solvers[0], step: 0 },
     view: null, scale: 30, sun: FIRST_SUN, relit: null,
-  });
+  }));
   const actions = makeActions(page, store);
   const panel = { page, store, actions };
   mountObject(find(root, "#object", HTMLElement), panel);

@@ -39,7 +39,7 @@ export function mountObject(root, { page, store, actions }) {
   const zipInput = find(root, ".zip-input", HTMLInputElement);
 
   /** @param {NamedFile[]} files */
-  const openFiles = files => files.length && actions.open({ kind: "files", files, object: null });
+  const openFiles = files => { if (files.length) actions.open({ kind: "files", files, object: null }); };
 
   find(root, ".built-in", HTMLElement).addEventListener("click", () => {
     const { source } = store.state;

@@ -2,7 +2,7 @@
 
 import { find, html } from "../svg.js";
 import { EXPORTS } from "./export.js";
-import { label, seriesColour, swatch } from "./series.js";
+import { label, seriesColour, solverLabel, swatch } from "./series.js";
 
 /** @typedef {import("./evaluate.js").Panel} Panel */
 /** @typedef {import("../messages.js").ResultRow} ResultRow */
@@ -51,31 +51,31 @@ export function mountResults(root, { page, store, actions }) {
     }
     const best = Math.min(...rows.filter(row => !row.oracle && row.mae !== null && row.planner !== "all").map(row => row.mae ?? Infinity));
     const solvers = new Set(rows.map(row => row.solver)).size > 1;
-    const head = ["Planner", ...(solvers ? ["Solver"] : []), "T", "MAE", "95 % interval", "Photos each", "Asked–used"];
+    const blended = rows.some(row => (row.effective_images ?? 1) > 1.01);
+    const head = ["Planner", ...(solvers ? ["Solver"] : []), "T", "MAE", "95 % interval", ...(blended ? ["Photos"] : []), "Off by"];
     const body = rows.map(row => {
       const chosen = row.planner === shown.planner && row.solver === shown.solver;
       const line = html("tr", {
-        style: seriesColour(row.planner), class: [chosen && "shown", row.mae !== null && row.mae <= best && !row.oracle && "best", row.error && "failed"].filter(Boolean).join(" ") || null,
+        style: seriesColour(row.planner), class: [chosen && "chosen", row.mae !== null && row.mae <= best && !row.oracle && "best", row.error && "failed"].filter(Boolean).join(" ") || null,
       });
-      const show = html("button", { type: "button", class: "link", "aria-pressed": chosen }, swatch(row.planner), label(catalogue, row.planner));
-      if (chosen) show.setAttribute("aria-pressed", "true"); else show.setAttribute("aria-pressed", "false");
+      const show = html("button", { type: "button", class: "link", "aria-pressed": String(chosen) }, swatch(row.planner), label(catalogue, row.planner));
       show.addEventListener("click", () => actions.show({ planner: row.planner, solver: row.solver }));
       line.append(html("th", { scope: "row" }, show));
       if (row.error) {
         line.append(html("td", { colspan: head.length - 1 }, row.error));
         return line;
       }
-      if (solvers) line.append(html("td", {}, row.solver));
+      if (solvers) line.append(html("td", {}, solverLabel(row.solver)));
       line.append(
         html("td", {}, String(row.lights)),
         html("td", { class: "mae" }, row.mae === null ? "unknown" : `${row.mae.toFixed(2)}°`),
         html("td", {}, interval(row)),
-        html("td", {}, row.effective_images === null ? "" : row.effective_images.toFixed(1)),
+        ...(blended ? [html("td", {}, row.effective_images?.toFixed(1) ?? "")] : []),
         html("td", {}, row.deviation === null ? "" : `${row.deviation.toFixed(1)}°`),
       );
       return line;
     });
-    const caption = ran ? `Protocol ${ran.protocol}, look-up ${ran.lookups.join(", ")}, ${ran.draws} ${ran.draws === 1 ? "repetition" : "repetitions"}, seed ${ran.seed}` : "";
+    const caption = ran ? `Mean angular error over ${ran.draws} ${ran.draws === 1 ? "run" : "runs"}, protocol ${ran.protocol}, look-up ${ran.lookups.join(", ")}, seed ${ran.seed}. “Off by”: mean angle between the light asked for and the light used.` : "";
     scroll.replaceChildren(html("table", {}, html("caption", {}, caption),
       html("thead", {}, html("tr", {}, ...head.map(text => html("th", { scope: "col" }, text)))), html("tbody", {}, ...body)));
   });

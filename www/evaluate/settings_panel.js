@@ -1,7 +1,7 @@
 // What to compare, Run and Cancel.
 
 import { find, html } from "../svg.js";
-import { swatch } from "./series.js";
+import { solverLabel, swatch } from "./series.js";
 
 /** @typedef {import("./evaluate.js").Panel} Panel */
 
@@ -12,8 +12,12 @@ import { swatch } from "./series.js";
 export function mountSettings(root, { page, store, actions }) {
   root.innerHTML = `
     <div class="head" style="margin:0"><h2 id="settings-title">Compare</h2><button type="button" class="button small link">Copy link</button></div>
-    <fieldset class="planners"><legend>Planners</legend></fieldset>
-    <fieldset class="solvers"><legend>Solvers</legend></fieldset>
+    <div class="run">
+      <div class="row"><button type="submit" class="button primary">Run</button><button type="button" class="button cancel" disabled>Cancel</button></div>
+      <div class="progress" hidden><progress max="1" aria-label="Run"></progress><span class="what number"></span></div>
+    </div>
+    <fieldset class="planners"><legend>Planners</legend><div class="list"></div></fieldset>
+    <fieldset class="solvers"><legend>Solvers</legend><div class="list"></div></fieldset>
     <div class="pair">
       <div class="field"><label for="lights">Lights, T</label><input id="lights" type="number" min="3" max="1000" step="1" required></div>
       <div class="field"><label for="draws">Repetitions</label><input id="draws" type="number" min="1" max="1000" step="1" required></div>
@@ -25,13 +29,9 @@ export function mountSettings(root, { page, store, actions }) {
         <option value="nearest">nearest photo</option><option value="soft">soft blend</option></select></div>
       <div class="field tau"><label for="tau">τ, radians</label><input id="tau" type="number" min="0.001" max="10" step="any" value="0.02" required></div>
     </div>
-    <div class="field"><label for="seed">Seed</label><input id="seed" type="number" min="0" max="4294967295" step="1" required></div>
-    <div class="run">
-      <div class="progress" hidden><progress max="1" aria-label="Run"></progress><span class="what number"></span></div>
-      <div class="row"><button type="submit" class="button primary">Run</button><button type="button" class="button cancel" disabled>Cancel</button></div>
-    </div>`;
-  const planners = find(root, ".planners", HTMLElement);
-  const solvers = find(root, ".solvers", HTMLElement);
+    <div class="field"><label for="seed">Seed</label><input id="seed" type="number" min="0" max="4294967295" step="1" required></div>`;
+  const planners = find(root, ".planners .list", HTMLElement);
+  const solvers = find(root, ".solvers .list", HTMLElement);
   const number = (/** @type {string} */ id) => find(root, `#${id}`, HTMLInputElement);
   const protocol = find(root, "#protocol", HTMLSelectElement);
   const lookup = find(root, "#lookup", HTMLSelectElement);
@@ -72,14 +72,15 @@ export function mountSettings(root, { page, store, actions }) {
 
   store.watch(["catalogue"], ({ catalogue }) => {
     if (!catalogue) return;
-    planners.replaceChildren(planners.children[0], ...catalogue.planners.map(({ name, label, about }) => {
+    planners.replaceChildren(...catalogue.planners.map(({ name, label, about }) => {
       const id = `planner-${name}`;
       return html("div", { class: "choice" }, html("input", { type: "checkbox", id, value: name, "aria-describedby": `${id}-about` }),
         swatch(name), html("label", { for: id, title: about }, label), html("small", { id: `${id}-about`, class: "hidden" }, about));
     }));
-    solvers.replaceChildren(solvers.children[0], ...catalogue.solvers.map(({ name, about }) => {
+    solvers.replaceChildren(...catalogue.solvers.map(({ name, about }) => {
       const id = `solver-${name}`;
-      return html("div", { class: "choice" }, html("input", { type: "checkbox", id, value: name }), html("span"), html("label", { for: id }, about));
+      return html("div", { class: "choice" }, html("input", { type: "checkbox", id, value: name, "aria-describedby": `${id}-about` }),
+        html("label", { for: id, title: about }, solverLabel(name)), html("small", { id: `${id}-about`, class: "hidden" }, about));
     }));
   });
   store.watch(["settings", "catalogue"], ({ settings }) => {

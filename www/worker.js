@@ -1,0 +1,262 @@
+// The worker that computes everything: it owns the object, its stack and what is shown of it. Requests are answered
+// as they come; a run pauses between its slices, so that others are answered meanwhile, and an abort is heard.
+
+import init, { catalogue, colourBar, Evaluation, CapturedObject } from "./pkg/core/coil_ps.js";
+import { Decoders, readObject } from "./reader.js";
+
+/** @typedef {import("./messages.js").Calls} Calls */
+/** @typedef {import("./messages.js").Kind} Kind */
+/** @typedef {import("./messages.js").Direction} Direction */
+/** @typedef {import("./messages.js").Picture} Picture */
+/** @typedef {import("./pkg/core/coil_ps.js").Picture} CorePicture */
+
+/** Pixels of the small pictures along a run. */
+const THUMBNAIL = 104;
+
+/** Compiled once; decoders get it by message. */
+const compiled = WebAssembly.compileStreaming(fetch(new URL("pkg/core/coil_ps_bg.wasm", import.meta.url)));
+const ready = compiled.then(module => init({ module_or_path: module }));
+const decoders = new Decoders(compiled);
+
+const state = {
+  /** @type {CapturedObject | null} */
+  object: null,
+  /** @type {import("./pkg/core/coil_ps.js").Stack | null} */
+  stack: null,
+  /** Directions asked for in the first run of every planner. @type {Map<string, Direction[]>} */
+  asked: new Map(),
+  lookup: "nearest",
+  /** @type {{ observations: import("./pkg/core/coil_ps.js").Observations, solution: import("./pkg/core/coil_ps.js").Solution | null, scale: number } | null} */
+  shown: null,
+  /** @type {import("./pkg/core/coil_ps.js").Relit | null} */
+  relit: null,
+  /** @type {Direction} */
+  sun: [0, 0, 1],
+};
+
+/**
+ * What a request can do besides answering.
+ * @template {Kind} K
+ * @typedef {{ signal: AbortSignal, progress: (value: Calls[K]["progress"], transfer?: Transferable[]) => void }} Context
+ */
+
+/** @type {{ [K in Kind]: (body: Calls[K]["body"], context: Context<K>) => Promise<Calls[K]["reply"]> | Calls[K]["reply"] }} */
+const answers = {
+  catalogue,
+
+  async open({ source }, { signal, progress }) {
+    const start = performance.now();
+    const opened = source.kind === "built-in"
+      ? { object: CapturedObject.builtIn(source.shape, source.material, source.seed), notes: [], objects: [] }
+      : await readObject(source.files, source.object, decoders, signal, progress);
+    signal.throwIfAborted();
+    const { object, notes, objects } = opened;
+    forget();
+    state.object?.free();
+    state.object = object;
+    const { name, bits, images, width, height, pixels, truth } = object;
+    return { name, bits, images, width, height, pixels, truth, notes, objects, seconds: (performance.now() - start) / 1000 };
+  },
+
+  prepare({ protocol }) {
+    const stack = needed(state.object, "open an object first").prepare(protocol);
+    forget();
+    state.stack = stack;
+    const { width, height, pixels, truth, reach } = stack;
+    const flat = stack.lights();
+    const lights = Array.from({ length: flat.length / 3 }, (_, i) => /** @type {Direction} */ ([...flat.subarray(3 * i, 3 * i + 3)]));
+    return { protocol, width, height, pixels, truth, reach, lights, names: stack.names() };
+  },
+
+  async run({ settings }, { signal, progress }) {
+    const evaluation = new Evaluation(needed(state.stack, "open an object first"), settings);
+    state.asked = new Map();
+    state.lookup = settings.lookups[0];
+    try {
+      const total = evaluation.total;
+      let rows = 0;
+      for (let done = 0; done < total; done += 1) {
+        const planner = evaluation.nextPlanner ?? "";
+        evaluation.runNext(THUMBNAIL, (step, maes, small) => {
+          const asked = state.asked.get(planner) ?? [];
+          state.asked.set(planner, [...asked, step.requested]);
+          const thumbnail = take(small);
+          const mae = Object.fromEntries(settings.solvers.map((name, i) => [name, maes[i]]));
+          progress({ done, total, step: { name: planner, step, mae, thumbnail }, row: [] }, [thumbnail.data]);
+        });
+        // A planner's rows are complete when the next one begins.
+        const complete = evaluation.nextPlanner !== planner ? evaluation.report().results.slice(rows) : [];
+        rows += complete.length;
+        progress({ done: done + 1, total, step: null, row: complete });
+        await pause();
+        signal.throwIfAborted();
+      }
+      return evaluation.report();
+    } finally {
+      evaluation.free();
+    }
+  },
+
+  view({ planner, solver, step, scale }) {
+    const stack = needed(state.stack, "open an object first");
+    const asked = (state.asked.get(planner) ?? []).slice(0, step);
+    const observations = stack.observe(new Float32Array(asked.flat()), state.lookup);
+    let solution = null;
+    try {
+      if (step >= 3) solution = observations.solve(solver);
+    } catch (error) {
+      // The first lights may lie in one plane: there are no normals yet.
+      if (step >= 5) throw error;
+    }
+    release();
+    state.shown = { observations, solution, scale };
+    state.relit = solution?.relit() ?? null;
+    return {
+      image: take(observations.photo(observations.count - 1, 4096)),
+      normals: solution && take(solution.normalsPicture()),
+      errors: optional(solution?.errorPicture(scale)),
+      mae: solution?.mae ?? null,
+      unknown: solution?.unknown ?? 0,
+      invalid: solution?.invalid ?? 0,
+    };
+  },
+
+  relight({ light }) {
+    state.sun = light;
+    return take(needed(state.relit, "there are no normals yet").under(new Float32Array(light)));
+  },
+
+  photo({ index, size }) {
+    return take(needed(state.stack, "open an object first").photo(index, size));
+  },
+
+  pixel({ x, y }) {
+    const values = x < 0 || y < 0 ? undefined : state.shown?.solution?.pixel(x, y);
+    if (!values) return null;
+    const [column, row, nx, ny, nz, error = null] = values;
+    return { x: column, y: row, normal: [nx, ny, nz], error };
+  },
+
+  colours({ width }) {
+    return take(colourBar(width));
+  },
+
+  async export({ what }) {
+    const { observations, solution, scale } = needed(state.shown, "nothing is shown yet");
+    const solved = () => needed(solution, "there are no normals yet");
+    switch (what) {
+      case "lp": return file(new TextEncoder().encode(observations.lightList()), "text/plain", "lights.lp");
+      case "normals": return file(solved().normalsPng(), "image/png", "normals.png");
+      case "errors": return png(needed(solved().errorPicture(scale), "the true normals are not known"), `error-0-${scale}deg.png`);
+      case "image": return png(observations.photo(observations.count - 1, 4096), "picture.png");
+      case "relit": return png(needed(state.relit, "there are no normals yet").under(new Float32Array(state.sun)), "relit.png");
+    }
+  },
+};
+
+/** Frees what is shown. */
+function release() {
+  state.shown?.observations.free();
+  state.shown?.solution?.free();
+  state.relit?.free();
+  state.shown = state.relit = null;
+}
+
+/** Frees the stack and all that rests on it. */
+function forget() {
+  release();
+  state.stack?.free();
+  state.stack = null;
+  state.asked = new Map();
+}
+
+/**
+ * @template T
+ * @param {T | null | undefined} value
+ * @param {string} otherwise
+ * @returns {T}
+ */
+function needed(value, otherwise) {
+  if (value === null || value === undefined) throw new Error(otherwise);
+  return value;
+}
+
+/**
+ * A picture of the core as one that can be transferred.
+ * @param {CorePicture} picture
+ * @returns {Picture}
+ */
+function take(picture) {
+  const { width, height, rgba } = picture;
+  picture.free();
+  return { width, height, data: /** @type {ArrayBuffer} */ (rgba.buffer) };
+}
+
+/** @param {CorePicture | null | undefined} picture */
+function optional(picture) {
+  return picture ? take(picture) : null;
+}
+
+/**
+ * @param {Uint8Array} bytes
+ * @param {string} type
+ * @param {string} name
+ */
+function file(bytes, type, name) {
+  return { bytes: /** @type {ArrayBuffer} */ (bytes.buffer), type, name };
+}
+
+/**
+ * @param {CorePicture} picture
+ * @param {string} name
+ */
+async function png(picture, name) {
+  const { width, height, data } = take(picture);
+  const canvas = new OffscreenCanvas(width, height);
+  canvas.getContext("2d")?.putImageData(new ImageData(new Uint8ClampedArray(data), width, height), 0, 0);
+  const blob = await canvas.convertToBlob({ type: "image/png" });
+  return { bytes: await blob.arrayBuffer(), type: "image/png", name };
+}
+
+const { port1: bell, port2: ear } = new MessageChannel();
+
+/** Lets the messages that wait be handled. @returns {Promise<void>} */
+function pause() {
+  return new Promise(resolve => {
+    ear.onmessage = () => resolve();
+    bell.postMessage(null);
+  });
+}
+
+/** @type {Map<number, AbortController>} */
+const underWay = new Map();
+
+/** Buffers of the pictures in a reply: they are transferred. @param {unknown} value @returns {Transferable[]} */
+function buffers(value) {
+  if (value instanceof ArrayBuffer) return [value];
+  if (value === null || typeof value !== "object" || ArrayBuffer.isView(value)) return [];
+  return Object.values(value).flatMap(buffers);
+}
+
+/** @param {MessageEvent<import("./messages.js").Request | import("./messages.js").Abort>} event */
+self.onmessage = async ({ data }) => {
+  if (data.kind === "abort") return underWay.get(data.id)?.abort();
+  const { id, kind, ...body } = data;
+  const controller = new AbortController();
+  underWay.set(id, controller);
+  try {
+    await ready;
+    controller.signal.throwIfAborted();
+    const progress = (/** @type {unknown} */ value, /** @type {Transferable[]} */ transfer = []) =>
+      self.postMessage({ id, type: "progress", value }, { transfer });
+    // The body is that of the kind: `Request` says so, but TypeScript does not follow the destructuring.
+    const answer = /** @type {(body: object, context: object) => unknown} */ (answers[kind]);
+    const value = await answer(body, { signal: controller.signal, progress });
+    self.postMessage({ id, type: "done", value }, { transfer: buffers(value) });
+  } catch (error) {
+    const { name, message } = error instanceof Error || error instanceof DOMException ? error : new Error(String(error));
+    self.postMessage({ id, type: "failed", error: { name, message } });
+  } finally {
+    underWay.delete(id);
+  }
+};
