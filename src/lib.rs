@@ -25,8 +25,9 @@ pub mod session;
 pub mod solve;
 pub mod stack;
 
-pub mod eval;
 pub mod view;
+
+pub mod eval;
 
 #[cfg(target_arch = "wasm32")]
 pub mod web;

@@ -1,6 +1,5 @@
 //! Results as pictures for people: 8-bit RGBA, cropped to the object, transparent around it.
 
-use crate::light;
 use crate::stack::{Mask, Stack};
 use glam::Vec3;
 
@@ -264,24 +263,14 @@ impl Relit {
     }
 }
 
-/// The `.lp` file of photometric-stereo viewers: a line with the count, then one a light with image name and direction.
-#[must_use]
-pub fn light_list(names: &[String], lights: &[Vec3]) -> String {
-    let mut text = format!("{}\n", lights.len());
-    for (name, l) in names.iter().zip(lights) {
-        let l = l.normalize_or(Vec3::Z);
-        text.push_str(&format!("{name} {:.6} {:.6} {:.6}\n", l.x, l.y, l.z));
-    }
-    debug_assert!(lights.iter().all(|&l| light::slant(l).is_finite()));
-    text
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::light;
 
     fn mask() -> Mask {
-        let inside: Vec<bool> = (0..200).map(|i| (5..9).contains(&(i % 20)) && (2..5).contains(&(i / 20))).collect();
+        let inside: Vec<bool> =
+            (0..200).map(|i| (5..9).contains(&(i % 20)) && (2..5).contains(&(i / 20))).collect();
         Mask::new(20, 10, &inside).unwrap()
     }
 
@@ -302,7 +291,8 @@ mod tests {
         assert_eq!(colour(1.0), [253, 231, 37]);
         assert_eq!(colour(0.5), [33, 145, 140]);
         assert_eq!(colour(f32::INFINITY), colour(1.0));
-        let luma = |c: [u8; 3]| 0.2126 * f32::from(c[0]) + 0.7152 * f32::from(c[1]) + 0.0722 * f32::from(c[2]);
+        let luma =
+            |c: [u8; 3]| 0.2126 * f32::from(c[0]) + 0.7152 * f32::from(c[1]) + 0.0722 * f32::from(c[2]);
         let bar = colour_bar(64);
         let steps: Vec<f32> = bar.rgba.chunks(4).map(|px| luma([px[0], px[1], px[2]])).collect();
         assert!(steps.windows(2).all(|w| w[1] >= w[0] - 0.5), "brightness rises along the scale");
@@ -319,7 +309,8 @@ mod tests {
         let taken = photo(&mask, &grey, &[], &tone);
         let relit = Relit::new(&mask, &vec![n; mask.len()], &vec![0.8; mask.len()], &[], tone).under(l);
         assert_eq!(taken, relit);
-        let dark = Relit::new(&mask, &vec![n; mask.len()], &vec![0.8; mask.len()], &[], Tone::new(1.0)).under(-n);
+        let dark =
+            Relit::new(&mask, &vec![n; mask.len()], &vec![0.8; mask.len()], &[], Tone::new(1.0)).under(-n);
         assert!(dark.rgba.chunks(4).all(|px| px[..3] == [0, 0, 0]));
     }
 

@@ -22,7 +22,7 @@ import { draw, html, set, svg } from "./svg.js";
 
 const RADIUS = 100;
 /** Sizes in the dome's units, in which its radius is 100. */
-const VIEW = { left: -128, top: -114, width: 256, height: 210 };
+const VIEW = { left: -117, top: -112, width: 234, height: 206 };
 const OBJECT_SIZE = 1.12;
 const DEFAULT_TURN = { yaw: -0.42, tilt: 0.72 };
 const KEY_STEP = Math.PI / 36;

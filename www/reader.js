@@ -100,29 +100,36 @@ const SMALL = /(^|\/)(mask\.png|[^/]+\.(txt|mat))$/i;
 export async function readObject(files, wanted, decoders, signal, progress) {
   progress({ done: 0, total: 1, what: "looking at the files" });
   const starting = decoders.start();
-  const byPath = new Map(files.map(({ path, file }) => [path, file]));
-  const listed = new ObjectFiles();
+  const archive = files.length === 1 && /\.zip$/i.test(files[0].path) ? files[0].file : null;
+  const byPath = new Map(archive ? [] : files.map(({ path, file }) => [path, file]));
+  const listed = archive ? ObjectFiles.zip(await bytesOf(archive), archive.name) : new ObjectFiles();
   for (const path of byPath.keys()) listed.list(path);
   const folders = listed.objects();
-  const folder = folders.find(name => shortName(name) === wanted) ?? folders[0];
-  const inFolder = [...byPath].filter(([path]) => folder === undefined || folder === "" || path.startsWith(`${folder}/`));
-  for (const [path, file] of inFolder) {
-    if (SMALL.test(path)) listed.add(path, new Uint8Array(await file.arrayBuffer()));
+  const folder = folders.find(name => shortName(name) === wanted) ?? folders[0] ?? "";
+  for (const [path, file] of byPath) {
+    const inside = folder === "" || path.startsWith(`${folder}/`);
+    if (inside && SMALL.test(path)) listed.add(path, await bytesOf(file));
     signal.throwIfAborted();
   }
-  const header = listed.header(folder ?? "");
+  const header = listed.header(folder);
   const { images, width, height, notes } = header;
   const total = images.length;
   await starting;
   let done = 0;
   progress({ done, total, what: "image" });
-  const sources = images.map(name => ({ name, bytes: () => /** @type {File} */ (byPath.get(name)) }));
+  const sources = images.map(name => ({ name, bytes: () => byPath.get(name) ?? /** @type {ArrayBuffer} */ (listed.bytes(name).buffer) }));
   await decoders.decode(sources, { mask: header.mask(), width, height }, signal, (k, bits, pixels) => {
     header.put(k, bits, pixels);
     done += 1;
     progress({ done, total, what: "image" });
   });
+  listed.free();
   return { object: header.assemble(), notes, objects: folders.map(shortName) };
+}
+
+/** @param {File} file */
+async function bytesOf(file) {
+  return new Uint8Array(await file.arrayBuffer());
 }
 
 /** The object's folder without those above it and DiLiGenT's "PNG". @param {string} folder */

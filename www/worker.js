@@ -147,7 +147,7 @@ const answers = {
     switch (what) {
       case "lp": return file(new TextEncoder().encode(observations.lightList()), "text/plain", "lights.lp");
       case "normals": return file(solved().normalsPng(), "image/png", "normals.png");
-      case "errors": return png(needed(solved().errorPicture(scale), "the true normals are not known"), `error-0-${scale}deg.png`);
+      case "errors": return file(needed(solved().errorPng(scale), "the true normals are not known"), "image/png", `error-0-${scale}deg.png`);
       case "image": return png(observations.photo(observations.count - 1, 4096), "picture.png");
       case "relit": return png(needed(state.relit, "there are no normals yet").under(new Float32Array(state.sun)), "relit.png");
     }

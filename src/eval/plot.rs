@@ -6,6 +6,7 @@ use crate::error::ErrorMap;
 use crate::image::{ImageError, encode_rgb};
 use crate::light;
 use crate::stack::{BitDepth, Mask};
+use crate::view::{Frame, colour};
 use glam::Vec3;
 use std::fmt::Write;
 
@@ -308,52 +309,6 @@ pub fn error_map(mask: &Mask, errors: &ErrorMap, scale: f32) -> Result<Vec<u8>, 
     }
     canvas.text(4, map_height + 6, &format!("MAE {:.2}°", errors.mae));
     encode_rgb(canvas.width, canvas.height, BitDepth::Eight, &canvas.rgb)
-}
-
-/// The part of the image that is shown: the object with a small margin.
-struct Frame {
-    left: u32,
-    top: u32,
-    width: u32,
-    height: u32,
-}
-
-impl Frame {
-    fn around(mask: &Mask) -> Self {
-        let (x, y, w, h) = mask.bounds();
-        let margin = w.max(h) * 3 / 100 + 1;
-        let (left, top) = (x.saturating_sub(margin), y.saturating_sub(margin));
-        let (right, bottom) = ((x + w + margin).min(mask.width()), (y + h + margin).min(mask.height()));
-        Self { left, top, width: right - left, height: bottom - top }
-    }
-}
-
-/// Viridis at 0…1 (every 16th row of matplotlib's table): even steps look evenly different, also to the
-/// colour-blind.
-fn colour(value: f32) -> [u8; 3] {
-    const VIRIDIS: [[u8; 3]; 17] = [
-        [68, 1, 84],
-        [72, 24, 106],
-        [71, 45, 123],
-        [66, 64, 134],
-        [59, 82, 139],
-        [51, 99, 141],
-        [44, 114, 142],
-        [38, 130, 142],
-        [33, 145, 140],
-        [31, 160, 136],
-        [40, 174, 128],
-        [63, 188, 115],
-        [94, 201, 98],
-        [132, 212, 75],
-        [173, 220, 48],
-        [216, 226, 25],
-        [253, 231, 37],
-    ];
-    let at = value.clamp(0.0, 1.0) * 16.0;
-    let low = (at as usize).min(15);
-    let mix = |a: u8, b: u8| (f32::from(a) + (at - low as f32) * (f32::from(b) - f32::from(a)) + 0.5) as u8;
-    [0, 1, 2].map(|c| mix(VIRIDIS[low][c], VIRIDIS[low + 1][c]))
 }
 
 fn check(mask: &Mask, found: usize) -> Result<(), ImageError> {

@@ -1,45 +1,76 @@
 //! Datasets: names and bytes in, an object out, with the images decoded wherever the caller likes.
 
 use super::{fail, stack::Stack};
+use crate::dataset::archive::Zip;
 use crate::dataset::diligent::{self, Header};
-use crate::dataset::{Limits, Memory};
+use crate::dataset::{Files, Limits, Memory};
 use crate::eval::Protocol;
 use crate::stack::{BitDepth, Mask, RawStack};
 use wasm_bindgen::prelude::*;
 
 /// The files of a dataset in DiLiGenT's layout: one object, or a folder of them.
 #[wasm_bindgen]
-#[derive(Default)]
-pub struct ObjectFiles(Memory);
+pub struct ObjectFiles(Source);
+
+enum Source {
+    Folder(Memory),
+    Archive(Zip),
+}
+
+impl ObjectFiles {
+    fn files(&self) -> &dyn Files {
+        match &self.0 {
+            Source::Folder(files) => files,
+            Source::Archive(files) => files,
+        }
+    }
+
+    fn folder(&mut self) -> Result<&mut Memory, JsError> {
+        match &mut self.0 {
+            Source::Folder(files) => Ok(files),
+            Source::Archive(_) => Err(fail("files can't be added to an archive")),
+        }
+    }
+}
 
 #[wasm_bindgen]
 impl ObjectFiles {
-    /// No file yet.
+    /// A folder without a file yet.
     #[wasm_bindgen(constructor)]
     #[must_use]
     pub fn new() -> Self {
-        Self::default()
+        Self(Source::Folder(Memory::new()))
+    }
+
+    /// The files of a zip archive; `name` is that of the archive, for messages.
+    pub fn zip(bytes: Vec<u8>, name: &str) -> Result<ObjectFiles, JsError> {
+        Zip::new(bytes, name, &Limits::default()).map(|zip| Self(Source::Archive(zip))).map_err(fail)
     }
 
     /// Adds a file with its bytes. Names are relative, with '/' between folders.
     pub fn add(&mut self, name: &str, bytes: Vec<u8>) -> Result<(), JsError> {
-        self.0.insert(name, bytes).map_err(fail)
+        self.folder()?.insert(name, bytes).map_err(fail)
     }
 
     /// Adds a file whose bytes stay elsewhere: an image that is decoded by `decodePixels`.
     pub fn list(&mut self, name: &str) -> Result<(), JsError> {
-        self.0.list(name).map_err(fail)
+        self.folder()?.list(name).map_err(fail)
+    }
+
+    /// The bytes of a file.
+    pub fn bytes(&self, name: &str) -> Result<Vec<u8>, JsError> {
+        self.files().read(name).map_err(fail)
     }
 
     /// Folders of all objects, sorted.
     #[must_use]
     pub fn objects(&self) -> Vec<String> {
-        diligent::find_objects(&self.0)
+        diligent::find_objects(self.files())
     }
 
     /// Reads and checks everything of the object in `folder` but its images.
     pub fn header(&self, folder: &str) -> Result<ObjectHeader, JsError> {
-        let header = Header::read(&self.0, folder, &Limits::default()).map_err(fail)?;
+        let header = Header::read(self.files(), folder, &Limits::default()).map_err(fail)?;
         let pixels = header.images.iter().map(|_| None).collect();
         Ok(ObjectHeader { header, pixels })
     }
@@ -212,7 +243,8 @@ impl CapturedObject {
         let mut truth = Vec::new();
         for y in 0..n {
             for x in 0..n {
-                let (u, v) = ((x as f32 + 0.5) / n as f32 * 2.2 - 1.1, 1.1 - (y as f32 + 0.5) / n as f32 * 2.2);
+                let (u, v) =
+                    ((x as f32 + 0.5) / n as f32 * 2.2 - 1.1, 1.1 - (y as f32 + 0.5) / n as f32 * 2.2);
                 if u * u + v * v < 1.0 {
                     inside[(y * n + x) as usize] = true;
                     let z = (1.0 - u * u - v * v).sqrt();

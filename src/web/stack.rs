@@ -3,8 +3,9 @@
 use super::picture::Picture;
 use super::{direction, directions, fail, flat};
 use crate::camera::{Camera, Observation};
+use crate::dataset::lp::write_lp;
 use crate::error;
-use crate::image;
+use crate::eval::plot;
 use crate::light;
 use crate::relight::{Lookup, StackCamera};
 use crate::solve::{self, Measurements, Validity};
@@ -146,8 +147,8 @@ impl Observations {
             o.index.map_or_else(|| format!("{:03}.png", i + 1), |k| self.of.stack.names[k].clone())
         };
         let names: Vec<String> = self.seen.iter().enumerate().map(name).collect();
-        let lights: Vec<Vec3> = self.seen.iter().map(|o| o.light).collect();
-        view::light_list(&names, &lights)
+        let lights = self.seen.iter().map(|o| o.light.normalize_or(Vec3::Z));
+        write_lp(names.iter().map(String::as_str).zip(lights))
     }
 
     /// Normals from all of them.
@@ -268,11 +269,13 @@ impl Solution {
     /// The normals as a 16-bit RGB PNG of the whole image: (n + 1)/2 · 65535, black outside the object.
     #[wasm_bindgen(js_name = normalsPng)]
     pub fn normals_png(&self) -> Result<Vec<u8>, JsError> {
-        let code = |v: f32| ((v + 1.0) * 32767.5 + 0.5) as u16;
-        let rgb: Vec<[u16; 3]> = self.solution.normals.iter().map(|n| n.to_array().map(code)).collect();
-        let mask = self.mask();
-        let whole = mask.scatter(&rgb, [0; 3]);
-        image::encode_rgb(mask.width(), mask.height(), BitDepth::Sixteen, &whole).map_err(fail)
+        plot::normal_map(self.mask(), &self.solution.normals, BitDepth::Sixteen).map_err(fail)
+    }
+
+    /// The error map with its colour bar as a PNG, from 0 to `scale` degrees, where the truth is known.
+    #[wasm_bindgen(js_name = errorPng)]
+    pub fn error_png(&self, scale: f32) -> Result<Option<Vec<u8>>, JsError> {
+        self.errors.as_ref().map(|e| plot::error_map(self.mask(), e, scale).map_err(fail)).transpose()
     }
 
     /// The solved object, ready for any light.

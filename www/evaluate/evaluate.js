@@ -196,7 +196,9 @@ function makeActions(page, store) {
       try {
         const stack = await engine.call("prepare", { protocol: settings.protocol }, { signal });
         store.update({ stack });
-        const report = await engine.call("run", { settings }, {
+        // The run that is shown comes first: its normals are what everyone waits for.
+        const planners = [planner, ...settings.planners.filter(name => name !== planner)];
+        const report = await engine.call("run", { settings: { ...settings, planners } }, {
           signal,
           onProgress: ({ done, total, step, row }) => {
             if (signal.aborted) return;

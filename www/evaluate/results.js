@@ -53,7 +53,8 @@ export function mountResults(root, { page, store, actions }) {
     const solvers = new Set(rows.map(row => row.solver)).size > 1;
     const blended = rows.some(row => (row.effective_images ?? 1) > 1.01);
     const head = ["Planner", ...(solvers ? ["Solver"] : []), "T", "MAE", "95 % interval", ...(blended ? ["Photos"] : []), "Off by"];
-    const body = rows.map(row => {
+    const place = (/** @type {ResultRow} */ row) => ran?.planners.indexOf(row.planner) ?? 0;
+    const body = [...rows].sort((a, b) => place(a) - place(b)).map(row => {
       const chosen = row.planner === shown.planner && row.solver === shown.solver;
       const line = html("tr", {
         style: seriesColour(row.planner), class: [chosen && "chosen", row.mae !== null && row.mae <= best && !row.oracle && "best", row.error && "failed"].filter(Boolean).join(" ") || null,
