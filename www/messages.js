@@ -7,8 +7,8 @@
  * A unit direction towards a light: x right, y up, z to the camera.
  * @typedef {[number, number, number]} Direction
  *
- * What the core offers.
- * @typedef {import("./pkg/core/coil_ps.js").Catalogue} Catalogue
+ * What the core offers; families of sculptures with a line for people, and materials, to render objects from.
+ * @typedef {import("./pkg/core/coil_ps.js").Catalogue & { families: [string, string][], materials: string[] }} Catalogue
  *
  * What to compare.
  * @typedef {import("./pkg/core/coil_ps.js").Settings} Settings
@@ -29,7 +29,8 @@
  * @typedef {{ path: string, file: File }} NamedFile
  *
  * Where an object comes from; enough to open it again.
- * @typedef {{ kind: "built-in", shape: string, material: string, seed: number }
+ * @typedef {{ kind: "sculpture", family: string, seed: number, material: string }
+ *   | { kind: "mesh", file: File, material: string }
  *   | { kind: "files", files: NamedFile[], object: string | null }} Source
  *
  * The object that was opened.

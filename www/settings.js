@@ -1,7 +1,7 @@
 // What is to be compared: kept in the address, so that a link shows the same table.
 
 /** @typedef {import("./messages.js").Settings} Settings */
-/** @typedef {{ kind: "built-in", shape: string, material: string, seed: number }} BuiltIn */
+/** @typedef {Extract<import("./messages.js").Source, { kind: "sculpture" }>} Sculpture */
 
 /** @type {Settings} */
 export const DEFAULTS = {
@@ -14,8 +14,8 @@ export const DEFAULTS = {
   seed: 1,
 };
 
-/** @type {BuiltIn} */
-export const BUILT_IN = { kind: "built-in", shape: "blob", material: "", seed: 1 };
+/** The object that the page begins with. @type {Sculpture} */
+export const BUILT_IN = { kind: "sculpture", family: "coral", seed: 5, material: "red-phenolic" };
 
 const NAME = /^[\w:.+-]{1,64}$/;
 
@@ -42,12 +42,12 @@ function whole(text, low, high, fallback) {
 /**
  * The settings in an address (`location.hash`); what it lacks or garbles is the default.
  * @param {string} hash
- * @returns {{ settings: Settings, builtIn: BuiltIn }}
+ * @returns {{ settings: Settings, sculpture: Sculpture }}
  */
 export function fromHash(hash) {
   const fields = new URLSearchParams(hash.replace(/^#/, ""));
   const protocol = fields.get("protocol");
-  const [shape = BUILT_IN.shape, seed = null] = (fields.get("object") ?? "").split(":").filter(Boolean);
+  const [family = BUILT_IN.family, seed = null] = (fields.get("object") ?? "").split(":").filter(Boolean);
   return {
     settings: {
       planners: names(fields.get("planners"), DEFAULTS.planners),
@@ -58,9 +58,9 @@ export function fromHash(hash) {
       draws: whole(fields.get("draws"), 1, 1000, DEFAULTS.draws),
       seed: whole(fields.get("seed"), 0, 2 ** 32 - 1, DEFAULTS.seed),
     },
-    builtIn: {
-      kind: "built-in",
-      shape: NAME.test(shape) ? shape : BUILT_IN.shape,
+    sculpture: {
+      kind: "sculpture",
+      family: NAME.test(family) ? family : BUILT_IN.family,
       seed: whole(seed, 0, 2 ** 32 - 1, BUILT_IN.seed),
       material: names(fields.get("material"), [BUILT_IN.material])[0],
     },
@@ -70,9 +70,9 @@ export function fromHash(hash) {
 /**
  * The address that holds these settings.
  * @param {Settings} settings
- * @param {BuiltIn | null} builtIn null for an object of the user's, which no link can hold
+ * @param {Sculpture | null} sculpture null for an object of the user's, which no link can hold
  */
-export function toHash(settings, builtIn) {
+export function toHash(settings, sculpture) {
   const fields = new URLSearchParams({
     planners: settings.planners.join(","),
     solvers: settings.solvers.join(","),
@@ -82,9 +82,9 @@ export function toHash(settings, builtIn) {
     draws: String(settings.draws),
     seed: String(settings.seed),
   });
-  if (builtIn) {
-    fields.set("object", `${builtIn.shape}:${builtIn.seed}`);
-    if (builtIn.material) fields.set("material", builtIn.material);
+  if (sculpture) {
+    fields.set("object", `${sculpture.family}:${sculpture.seed}`);
+    fields.set("material", sculpture.material);
   }
   // Commas and colons are legal here and easier to read.
   return `#${fields.toString().replaceAll("%2C", ",").replaceAll("%3A", ":")}`;

@@ -1,7 +1,7 @@
 // The worker that computes everything: it owns the object, its stack and what is shown of it. Requests are answered
 // as they come; a run pauses between its slices, so that others are answered meanwhile, and an abort is heard.
 
-import init, { catalogue, colourBar, Evaluation, CapturedObject } from "./pkg/core/coil_ps.js";
+import init, { Capture, catalogue, colourBar, Evaluation, families, materials } from "./pkg/core/coil_ps.js";
 import { Decoders, readObject } from "./reader.js";
 
 /** @typedef {import("./messages.js").Calls} Calls */
@@ -13,13 +13,20 @@ import { Decoders, readObject } from "./reader.js";
 /** Pixels of the small pictures along a run. */
 const THUMBNAIL = 104;
 
+/** Width of rendered objects, pixels. */
+const RENDERED = 160;
+/** Families of one sculpture only. */
+const UNSEEDED = ["sphere", "bowl"];
+/** A computation that can be cut pauses so often. */
+const SLICE_MS = 30;
+
 /** Compiled once; decoders get it by message. */
 const compiled = WebAssembly.compileStreaming(fetch(new URL("pkg/core/coil_ps_bg.wasm", import.meta.url)));
 const ready = compiled.then(module => init({ module_or_path: module }));
 const decoders = new Decoders(compiled);
 
 const state = {
-  /** @type {CapturedObject | null} */
+  /** @type {import("./pkg/core/coil_ps.js").CapturedObject | null} */
   object: null,
   /** @type {import("./pkg/core/coil_ps.js").Stack | null} */
   stack: null,
@@ -42,13 +49,16 @@ const state = {
 
 /** @type {{ [K in Kind]: (body: Calls[K]["body"], context: Context<K>) => Promise<Calls[K]["reply"]> | Calls[K]["reply"] }} */
 const answers = {
-  catalogue,
+  catalogue() {
+    const pair = (/** @type {string} */ line) => /** @type {[string, string]} */ (line.split(": "));
+    return { ...catalogue(), families: families().map(pair), materials: materials() };
+  },
 
   async open({ source }, { signal, progress }) {
     const start = performance.now();
-    const opened = source.kind === "built-in"
-      ? { object: CapturedObject.builtIn(source.shape, source.material, source.seed), notes: [], objects: [] }
-      : await readObject(source.files, source.object, decoders, signal, progress);
+    const opened = source.kind === "files"
+      ? await readObject(source.files, source.object, decoders, signal, progress)
+      : { object: await photograph(source, signal, progress), notes: [], objects: [] };
     signal.throwIfAborted();
     const { object, notes, objects } = opened;
     forget();
@@ -153,6 +163,30 @@ const answers = {
     }
   },
 };
+
+/**
+ * Renders an object under a stage of lights.
+ * @param {Exclude<import("./messages.js").Source, { kind: "files" }>} source
+ * @param {AbortSignal} signal
+ * @param {(progress: { done: number, total: number, what: string }) => void} progress
+ */
+async function photograph(source, signal, progress) {
+  progress({ done: 0, total: 1, what: "preparing the shape" });
+  const capture = source.kind === "mesh"
+    ? Capture.mesh(source.file.name, new Uint8Array(await source.file.arrayBuffer()), source.material, RENDERED)
+    : Capture.sculpture(UNSEEDED.includes(source.family) ? source.family : `${source.family}:${source.seed}`, source.material, RENDERED);
+  let next = performance.now();
+  while (capture.done < capture.total) {
+    capture.takeNext();
+    if (performance.now() < next) continue;
+    progress({ done: capture.done, total: capture.total, what: "rendering image" });
+    await pause();
+    if (signal.aborted) capture.free();
+    signal.throwIfAborted();
+    next = performance.now() + SLICE_MS;
+  }
+  return capture.finish();
+}
 
 /** Frees what is shown. */
 function release() {

@@ -5,6 +5,7 @@
 //! A [`Shape`] at a [`Pose`] is seen once ([`View`]); with its [`Finish`] it makes a [`Scene`], which answers every
 //! light direction. How, and how exactly: docs/rendering.md.
 
+pub mod capture;
 pub mod finish;
 pub mod horizon;
 pub mod material;
@@ -16,6 +17,7 @@ pub mod trace;
 pub mod view;
 pub mod worlds;
 
+pub use capture::Capture;
 pub use finish::Finish;
 pub use horizon::Horizon;
 pub use material::{Abc, Ggx, Material};

@@ -6,12 +6,16 @@
 mod evaluation;
 mod object;
 mod picture;
+#[cfg(feature = "render")]
+mod render;
 mod session;
 mod stack;
 
 pub use evaluation::{Evaluation, catalogue};
 pub use object::{CapturedObject, ObjectFiles, ObjectHeader, Pixels, decode_pixels};
 pub use picture::{Picture, colour_bar};
+#[cfg(feature = "render")]
+pub use render::{Capture, families, materials};
 pub use session::Session;
 pub use stack::{Observations, Relit, Solution, Stack};
 

@@ -82,7 +82,8 @@ function plot(series, width, { shown, catalogue, ran }, actions) {
   const values = series.flatMap(({ points }) => points.map(p => p.mae));
   const ticks = niceTicks(Math.min(...values), Math.max(...values));
   const [low, high] = [ticks[0], ticks[ticks.length - 1]];
-  const right = width < 460 ? 92 : MARGIN.right;
+  const narrow = width < 460;
+  const right = narrow ? 56 : MARGIN.right;
   const x = (/** @type {number} */ t) => MARGIN.left + (width - MARGIN.left - right) * (t - FIRST) / (last - FIRST);
   const y = (/** @type {number} */ v) => HEIGHT - MARGIN.bottom - (HEIGHT - MARGIN.top - MARGIN.bottom) * (v - low) / (high - low);
 
@@ -122,7 +123,7 @@ function plot(series, width, { shown, catalogue, ran }, actions) {
   const overflow = Math.max(0, (ends[ends.length - 1]?.at ?? 0) - (HEIGHT - MARGIN.bottom));
   for (const { planner, end, at } of ends) {
     const text = svg("text", { class: "end", style: seriesColour(planner), x: width - right + 10, y: at - overflow + 4 },
-      `${end.mae.toFixed(2)} ${shortLabel(label(catalogue, planner))}`);
+      `${end.mae.toFixed(2)}°${narrow ? "" : ` ${shortLabel(label(catalogue, planner))}`}`);
     drawing.append(text);
   }
   drawing.addEventListener("click", event => {

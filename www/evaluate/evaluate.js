@@ -1,6 +1,6 @@
 // The view that compares planners on one object: its state, what can be done, and its panels.
 
-import { BUILT_IN, DEFAULTS, fromHash, toHash } from "../settings.js";
+import { DEFAULTS, fromHash, toHash } from "../settings.js";
 import { isAbort } from "../engine.js";
 import { newestOnly, Store } from "../store.js";
 import { find } from "../svg.js";
@@ -60,9 +60,9 @@ const FIRST_SUN = [-0.38, 0.46, 0.803];
  * @param {Page} page
  */
 export async function mount(root, page) {
-  const { settings, builtIn } = fromHash(location.hash);
+  const { settings, sculpture } = fromHash(location.hash);
   const store = new Store(/** @type {State} */ ({
-    catalogue: null, settings, source: builtIn, object: null, stack: null, opening: null, running: null,
+    catalogue: null, settings, source: sculpture, object: null, stack: null, opening: null, running: null,
     runs: new Map(), rows: [], report: null, ran: null,
     shown: { planner: "", solver: settings.solvers[0], step: 0 },
     view: null, scale: 30, sun: FIRST_SUN, relit: null,
@@ -148,7 +148,7 @@ function makeActions(page, store) {
         store.update({ opening: null });
         await actions.run();
       } catch (error) {
-        page.problem("This object can't be opened", error, source.kind === "files" ? ADVICE : undefined);
+        page.problem("This object can't be opened", error, ADVICE[source.kind]);
       } finally {
         if (opening.signal === signal) store.update({ opening: null });
       }
@@ -168,15 +168,15 @@ function makeActions(page, store) {
     /** Puts the settings into the address. */
     link() {
       const { settings, source } = store.state;
-      history.replaceState(null, "", toHash(settings, source.kind === "built-in" ? source : null));
+      history.replaceState(null, "", toHash(settings, source.kind === "sculpture" ? source : null));
     },
 
     /** @param {string} hash an address that someone has typed or pasted */
     async follow(hash) {
-      const { settings, builtIn } = fromHash(hash);
+      const { settings, sculpture } = fromHash(hash);
       const { catalogue, source } = store.state;
       store.update({ settings: catalogue ? known(settings, catalogue) : settings });
-      if (source.kind === "built-in" && JSON.stringify(source) !== JSON.stringify(builtIn)) await actions.open(builtIn);
+      if (source.kind === "sculpture" && JSON.stringify(source) !== JSON.stringify(sculpture)) await actions.open(sculpture);
       else await actions.run();
     },
 
@@ -252,13 +252,16 @@ function makeActions(page, store) {
   return actions;
 }
 
-const ADVICE = "Expected is a DiLiGenT object: a folder (or a .zip of it) with filenames.txt, light_directions.txt, "
-  + "light_intensities.txt, mask.png, the images, and Normal_gt.mat or normal.txt where the true normals are known.";
+/** What can be done when an object can't be opened. */
+const ADVICE = {
+  files: "Expected is a DiLiGenT object: a folder (or a .zip of it) with filenames.txt, light_directions.txt, "
+    + "light_intensities.txt, mask.png, the images, and Normal_gt.mat or normal.txt where the true normals are known.",
+  mesh: "Expected is a triangle mesh as OBJ, PLY or STL.",
+  sculpture: "Choose another shape or material, or open the built-in object.",
+};
 
 /** @param {Report} report */
 function summary(report) {
   const best = report.results.filter(row => row.mae !== null && !row.oracle).sort((a, b) => (a.mae ?? 0) - (b.mae ?? 0))[0];
   return best ? `Done. Best: ${best.planner} with ${best.solver}, ${best.mae?.toFixed(2)} degrees.` : "Done.";
 }
-
-export { BUILT_IN };

@@ -7,6 +7,8 @@ import { find, html } from "../svg.js";
 /** @typedef {import("./evaluate.js").Panel} Panel */
 /** @typedef {import("../messages.js").NamedFile} NamedFile */
 
+const MESH = /\.(obj|ply|stl)$/i;
+
 /**
  * @param {HTMLElement} root
  * @param {Panel} panel
@@ -19,39 +21,71 @@ export function mountObject(root, { page, store, actions }) {
     </div>
     <div class="actions">
       <label class="row among" hidden><span class="label">Object</span><select></select></label>
-      <button type="button" class="button built-in">Built-in object</button>
+      <button type="button" class="button render">Render an object…</button>
       <button type="button" class="button open-folder">Open folder…</button>
-      <button type="button" class="button open-zip">Open .zip…</button>
+      <button type="button" class="button open-file">Open .zip…</button>
       <input type="file" class="folder-input" webkitdirectory multiple hidden aria-label="DiLiGenT folder">
-      <input type="file" class="zip-input" accept=".zip,application/zip" hidden aria-label="Zip archive">
+      <input type="file" class="file-input" accept=".zip,application/zip" hidden aria-label="Zip archive">
+      <input type="file" class="mesh-input" accept=".obj,.ply,.stl" hidden aria-label="Mesh">
     </div>
-    <p class="note hint">Or drop a DiLiGenT object, a folder of them or a .zip anywhere on this page. Nothing leaves this machine.</p>
+    <p class="note hint">Or drop a DiLiGenT object, a folder of them, a .zip or a mesh anywhere on this page. Nothing leaves this machine.</p>
     <div class="progress" hidden>
       <progress max="1" aria-label="Opening the object"></progress>
       <span class="row"><span class="what number"></span><button type="button" class="button small cancel">Cancel</button></span>
-    </div>`;
+    </div>
+    <dialog aria-labelledby="render-title"><form method="dialog">
+      <h2 id="render-title">Render an object</h2>
+      <p class="note">Photographed in this page under 100 lights, with shadows and inter-reflection; its true normals are known.</p>
+      <div class="field"><label for="family">Shape</label><select id="family"></select></div>
+      <div class="pair">
+        <div class="field"><label for="shape-seed">Seed</label><input id="shape-seed" type="number" min="0" max="4294967295" step="1" required></div>
+        <div class="field"><label for="material">Material</label><select id="material"></select></div>
+      </div>
+      <div class="row buttons">
+        <button type="submit" class="button primary" value="sculpture">Render</button>
+        <button type="button" class="button own-mesh">Own mesh…</button>
+        <button type="button" class="button first">Built-in object</button>
+        <button type="submit" class="button" value="" formnovalidate>Close</button>
+      </div>
+    </form></dialog>`;
   const title = find(root, "h2", HTMLElement);
   const facts = find(root, ".facts", HTMLElement);
   const among = find(root, ".among", HTMLElement);
   const choice = find(among, "select", HTMLSelectElement);
   const progress = find(root, ".progress", HTMLElement);
-  const folderInput = find(root, ".folder-input", HTMLInputElement);
-  const zipInput = find(root, ".zip-input", HTMLInputElement);
+  const input = (/** @type {string} */ name) => find(root, `.${name}-input`, HTMLInputElement);
+  const dialog = find(root, "dialog", HTMLDialogElement);
+  const family = find(root, "#family", HTMLSelectElement);
+  const seed = find(root, "#shape-seed", HTMLInputElement);
+  const material = find(root, "#material", HTMLSelectElement);
 
   /** @param {NamedFile[]} files */
-  const openFiles = files => { if (files.length) actions.open({ kind: "files", files, object: null }); };
+  const openFiles = files => {
+    if (files.length === 1 && MESH.test(files[0].path)) openMesh(files[0].file);
+    else if (files.length) actions.open({ kind: "files", files, object: null });
+  };
+  /** @param {File} file */
+  const openMesh = file => actions.open({ kind: "mesh", file, material: material.value || BUILT_IN.material });
 
-  find(root, ".built-in", HTMLElement).addEventListener("click", () => {
-    const { source } = store.state;
-    actions.open(source.kind === "built-in" ? source : BUILT_IN);
-  });
-  find(root, ".open-folder", HTMLElement).addEventListener("click", () => folderInput.click());
-  find(root, ".open-zip", HTMLElement).addEventListener("click", () => zipInput.click());
+  find(root, ".render", HTMLElement).addEventListener("click", () => dialog.showModal());
+  find(root, ".open-folder", HTMLElement).addEventListener("click", () => input("folder").click());
+  find(root, ".open-file", HTMLElement).addEventListener("click", () => input("file").click());
   find(root, ".cancel", HTMLElement).addEventListener("click", () => actions.cancelOpening());
-  for (const input of [folderInput, zipInput]) {
-    input.addEventListener("change", () => {
-      if (input.files) openFiles(chosenFiles(input.files));
-      input.value = ""; // so that the same folder can be chosen again
+  find(root, ".own-mesh", HTMLElement).addEventListener("click", () => input("mesh").click());
+  find(root, ".first", HTMLElement).addEventListener("click", () => {
+    dialog.close("");
+    actions.open(BUILT_IN);
+  });
+  dialog.addEventListener("close", () => {
+    if (dialog.returnValue !== "sculpture") return;
+    actions.open({ kind: "sculpture", family: family.value, seed: seed.valueAsNumber, material: material.value });
+  });
+  for (const name of ["folder", "file", "mesh"]) {
+    input(name).addEventListener("change", () => {
+      const { files } = input(name);
+      dialog.close("");
+      if (files) openFiles(chosenFiles(files));
+      input(name).value = ""; // so that the same folder can be chosen again
     });
   }
   choice.addEventListener("change", () => {
@@ -73,6 +107,13 @@ export function mountObject(root, { page, store, actions }) {
       .catch(error => page.problem("What was dropped can't be read", error));
   });
 
+  store.watch(["catalogue", "source"], ({ catalogue, source }) => {
+    if (!catalogue) return;
+    const shape = source.kind === "sculpture" ? source : BUILT_IN;
+    family.replaceChildren(...catalogue.families.map(([name, about]) => html("option", { value: name, selected: name === shape.family }, `${name}: ${about}`)));
+    material.replaceChildren(...catalogue.materials.map(name => html("option", { selected: name === shape.material }, name)));
+    seed.value = String(shape.seed);
+  });
   store.watch(["object", "stack", "source"], ({ object, stack, source }) => {
     if (!object) return;
     title.textContent = object.name;
@@ -82,7 +123,7 @@ export function mountObject(root, { page, store, actions }) {
       object.truth ? ["true normals", "known"] : ["no", "true normals: errors can't be shown"],
     ];
     facts.replaceChildren(...parts.map(([value, what]) => html("span", {}, html("b", {}, value), ` ${what}`)));
-    if (source.kind === "built-in") facts.append(html("span", {}, "rendered in this page"));
+    if (source.kind !== "files") facts.append(html("span", {}, html("b", {}, source.material), " rendered in this page"));
     for (const note of object.notes) facts.append(html("span", {}, note));
     among.hidden = object.objects.length < 2;
     choice.replaceChildren(...object.objects.map(name => html("option", { selected: name === object.name }, name)));

@@ -15,8 +15,10 @@ export function mountResults(root, { page, store, actions }) {
   root.innerHTML = `
     <div class="head"><h2 id="results-title">Results</h2>
       <details class="menu"><summary class="button small">Export</summary><div></div></details></div>
-    <div class="scroll" tabindex="0" role="region" aria-label="Table of results"></div>`;
+    <div class="scroll" tabindex="0" role="region" aria-label="Table of results"></div>
+    <p class="note" id="results-note"></p>`;
   const scroll = find(root, ".scroll", HTMLElement);
+  const note = find(root, ".note", HTMLElement);
   const menu = find(root, ".menu", HTMLDetailsElement);
   const list = find(menu, "div", HTMLElement);
 
@@ -46,6 +48,7 @@ export function mountResults(root, { page, store, actions }) {
 
   store.watch(["rows", "shown", "ran", "running"], ({ rows, shown, ran, catalogue, running }) => {
     if (!rows.length) {
+      note.textContent = "";
       scroll.replaceChildren(html("p", { class: "empty-note" }, running ? "Running…" : "No result yet: choose planners and press Run."));
       return;
     }
@@ -77,7 +80,8 @@ export function mountResults(root, { page, store, actions }) {
       return line;
     });
     const caption = ran ? `Mean angular error over ${ran.draws} ${ran.draws === 1 ? "run" : "runs"}, protocol ${ran.protocol}, look-up ${ran.lookups.join(", ")}, seed ${ran.seed}. “Off by”: mean angle between the light asked for and the light used.` : "";
-    scroll.replaceChildren(html("table", {}, html("caption", {}, caption),
+    note.textContent = caption;
+    scroll.replaceChildren(html("table", { "aria-labelledby": "results-title", "aria-describedby": "results-note" },
       html("thead", {}, html("tr", {}, ...head.map(text => html("th", { scope: "col" }, text)))), html("tbody", {}, ...body)));
   });
 }
