@@ -290,7 +290,7 @@ pub fn error_map(mask: &Mask, errors: &ErrorMap, scale: f32) -> Result<Vec<u8>, 
     let zoom = (240 / frame.height.min(frame.width).max(1)).clamp(1, 8);
     let (map_width, map_height) = (frame.width * zoom, (frame.height * zoom).max(160));
     // Right of the map: space, bar, figures. Below it: the mean.
-    let (bar, label) = (map_width + 12, map_width + 12 + 16 + 6);
+    let (bar, label) = (map_width + 12, map_width + 12 + 16 + 12);
     let mut canvas = Canvas::new(label + 4 * Canvas::CHARACTER + 4, map_height + 24);
     for (p, &e) in errors.degrees.iter().enumerate() {
         let (x, y) = mask.position(p);
@@ -460,7 +460,7 @@ mod tests {
         let image = decode_png(&png, 1 << 20).unwrap();
         let at = |x: u32, y: u32| image.rgb[(y * image.width + x) as usize];
         assert_eq!(at(5, 5), colour(0.2f32.to_degrees() / 20.0).map(u16::from));
-        let bar = image.width - 4 - 4 * Canvas::CHARACTER - 6 - 16;
+        let bar = image.width - 4 - 4 * Canvas::CHARACTER - 12 - 16;
         assert_eq!(at(bar, 8), colour(1.0).map(u16::from));
         assert_eq!(at(bar, image.height - 24 - 9), colour(0.0).map(u16::from));
         assert!(error_map(&Mask::full(1, 1).unwrap(), &errors, 20.0).is_err());
