@@ -108,7 +108,7 @@ pub struct PngReader<'a> {
 }
 
 impl<'a> PngReader<'a> {
-    /// Reads the header and checks that the file is whole.
+    /// Reads the header and checks that the file is whole. At most 2³² − 1 pixels are read, whatever `limit` is.
     ///
     /// # Errors
     /// [`ImageError`], also for an image of more than `limit` pixels.
@@ -129,8 +129,14 @@ impl<'a> PngReader<'a> {
         decoder.set_ignore_iccp_chunk(true);
         let header = decoder.read_header_info().map_err(|e| error(&e, bytes))?;
         let (width, height) = (header.width, header.height);
+        let limit = limit.min(u32::MAX as usize); // positions are u32
         if u64::from(width) * u64::from(height) > limit as u64 {
             return Err(ImageError::TooLarge { width, height, limit });
+        }
+        // Deflate packs at most 1032:1: what claims more is refused before anything is allocated.
+        let bits = header.color_type.samples() as u64 * u64::from(header.bit_depth as u8);
+        if u64::from(width) * u64::from(height) * bits / 8 / 1100 > bytes.len() as u64 {
+            return Err(ImageError::Truncated(bytes.len()));
         }
         let reader = decoder.read_info().map_err(|e| error(&e, bytes))?;
         let (color, depth) = reader.output_color_type();
@@ -324,6 +330,7 @@ mod tests {
         };
         huge[29..33].copy_from_slice(&crc.to_be_bytes());
         assert!(matches!(decode_png(&huge, 1 << 26), Err(ImageError::TooLarge { width: 60000, .. })));
+        assert!(matches!(decode_png(&huge, usize::MAX), Err(ImageError::Truncated(_))));
         assert!(encode_grey(3, 3, &[0; 8]).is_err() && encode_grey(0, 3, &[]).is_err());
     }
 

@@ -1,10 +1,17 @@
-//! Datasets: the shared DiLiGenT objects as published.
+//! Datasets: the shared DiLiGenT objects as published, what is written is read back, and every
+//! inconsistency is named with its file and line.
 
 mod support;
 
-use coil_ps::image::decode_png;
-use coil_ps::stack::BitDepth;
+use coil_ps::dataset::{
+    DatasetError, Files, Header, Limits, Memory, Warning, Zip, archive, diligent102, find_objects, mat,
+    read_object, write_object,
+};
+use coil_ps::image::{decode_png, encode_grey, encode_rgb};
+use coil_ps::stack::{BitDepth, RawStack};
 use glam::Vec3;
+use support::object_files;
+use support::parsers::{assert_valid, sphere};
 
 #[test]
 fn shared_objects_are_read_as_published() {
@@ -48,4 +55,308 @@ fn the_frame_is_x_right_y_up_z_to_the_camera() {
         .zip(&truth)
         .map(|(rgb, n)| (Vec3::from(rgb.map(|v| f32::from(v) / 127.5 - 1.0)) - *n).abs().max_element());
     assert!(worst.fold(0.0, f32::max) < 0.02);
+}
+
+fn fixture() -> RawStack {
+    sphere(9, 7, 4, BitDepth::Sixteen)
+}
+
+fn read(files: &dyn Files) -> Result<(RawStack, Vec<Warning>), DatasetError> {
+    read_object(files, "spherePNG", &Limits::default())
+}
+
+/// The message about the fixture with one file replaced (`None`: left out).
+fn message_with(name: &str, content: Option<Vec<u8>>) -> String {
+    read(&changed(name, content)).expect_err(name).to_string()
+}
+
+fn changed(name: &str, content: Option<Vec<u8>>) -> Memory {
+    let mut files = Memory::new();
+    let replaced = content.map(|bytes| (name.to_string(), bytes));
+    for (file, bytes) in
+        write_object(&fixture()).unwrap().into_iter().filter(|(n, _)| n != name).chain(replaced)
+    {
+        files.insert(&format!("spherePNG/{file}"), bytes).unwrap();
+    }
+    files
+}
+
+fn text_of(name: &str) -> String {
+    let files = object_files(&fixture());
+    String::from_utf8(files.read(&format!("spherePNG/{name}")).unwrap()).unwrap()
+}
+
+/// The fixture's text file with line `line` (from 1) replaced.
+fn with_line(name: &str, line: usize, new: &str) -> Option<Vec<u8>> {
+    let text = text_of(name);
+    let lines: Vec<&str> = (1..).zip(text.lines()).map(|(i, l)| if i == line { new } else { l }).collect();
+    Some(lines.join("\n").into_bytes())
+}
+
+fn assert_same(a: &RawStack, b: &RawStack) {
+    assert_eq!((&a.name, &a.mask, a.bits, &a.names), (&b.name, &b.mask, b.bits, &b.names));
+    assert_eq!(a.images, b.images);
+    assert_eq!((&a.lights, &a.intensities, &a.truth), (&b.lights, &b.intensities, &b.truth));
+}
+
+#[test]
+fn what_is_written_is_read_back_to_the_bit() {
+    for bits in [BitDepth::Eight, BitDepth::Sixteen] {
+        for (size, truth) in [((9, 7), true), ((64, 48), false)] {
+            let mut stack = sphere(size.0, size.1, 5, bits);
+            stack.truth = stack.truth.filter(|_| truth);
+            let (again, warnings) = read(&object_files(&stack)).unwrap();
+            assert_same(&stack, &again);
+            assert_eq!(warnings, if truth { vec![] } else { vec![Warning::NoTruth] });
+        }
+    }
+}
+
+#[test]
+fn objects_are_found_under_any_root_and_in_archives() {
+    let object = write_object(&fixture()).unwrap();
+    let mut files = Memory::new();
+    for folder in ["DiLiGenT/pmsData/ballPNG", "DiLiGenT/pmsData/catPNG", "__MACOSX/ballPNG", "a/.hidden"] {
+        for (name, bytes) in &object {
+            files.insert(&format!("{folder}/{name}"), bytes.clone()).unwrap();
+        }
+    }
+    files.insert("DiLiGenT/pmsData/objects.txt", b"ball".to_vec()).unwrap();
+    assert_eq!(find_objects(&files), ["DiLiGenT/pmsData/ballPNG", "DiLiGenT/pmsData/catPNG"]);
+    let (ball, _) = read_object(&files, "DiLiGenT/pmsData/ballPNG", &Limits::default()).unwrap();
+    assert_eq!(ball.name, "ball");
+
+    let zip = archive::write_zip(&object).unwrap(); // the files at its root
+    let zip = Zip::new(zip, "a.zip", &Limits::default()).unwrap();
+    assert_eq!(find_objects(&zip), [""]);
+    let (stack, _) = read_object(&zip, "", &Limits::default()).unwrap();
+    assert_eq!(stack.images, fixture().images);
+    assert!(find_objects(&Memory::new()).is_empty());
+}
+
+#[test]
+fn diligent102_is_read_and_its_submission_has_its_shape() {
+    let mut files = Memory::new();
+    let mut stack = fixture();
+    stack.truth = None;
+    for (name, bytes) in write_object(&stack).unwrap() {
+        files.insert(&format!("DiLiGenT102/BALL_Al/{name}"), bytes).unwrap();
+    }
+    let dirs = find_objects(&files);
+    let (stack, warnings) = read_object(&files, &dirs[0], &Limits::default()).unwrap();
+    assert_eq!(diligent102::shape_and_material(&stack.name), Some(("BALL", "Al")));
+    assert_eq!(warnings, [Warning::NoTruth]);
+    let upload = diligent102::submission(&stack.mask, &vec![Vec3::Z; stack.mask.len()]);
+    assert_eq!(mat::read_array(&upload, "Normal_est", 1000).unwrap().dims, [7, 9, 3]);
+}
+
+#[test]
+fn text_files_of_any_system_are_read() {
+    let windows = |name| {
+        Some(format!("\u{feff}{}\r\n\r\n", text_of(name).trim_end().replace('\n', "\r\n")).into_bytes())
+    };
+    let tabs = |name| Some(text_of(name).trim_end().replace(' ', "\t").into_bytes());
+    let commas = |name| Some(text_of(name).replace(' ', ", ").replace('\n', "\n\n").into_bytes());
+    for (name, content) in [
+        ("filenames.txt", windows("filenames.txt")),
+        ("light_directions.txt", windows("light_directions.txt")),
+        ("light_directions.txt", tabs("light_directions.txt")),
+        ("light_intensities.txt", commas("light_intensities.txt")),
+    ] {
+        assert_same(&read(&changed(name, content)).unwrap().0, &fixture());
+    }
+}
+
+#[test]
+fn what_can_be_done_without_is_a_warning() {
+    let (stack, warnings) = read(&changed("filenames.txt", None)).unwrap();
+    assert_same(&stack, &fixture());
+    assert_eq!(warnings, [Warning::NoFileList { images: 4 }]);
+    let (stack, warnings) = read(&changed("light_intensities.txt", None)).unwrap();
+    assert_eq!((stack.intensities[3], warnings), ([1.0; 3], vec![Warning::NoIntensities]));
+
+    let (stack, warnings) =
+        read(&changed("light_directions.txt", with_line("light_directions.txt", 1, "0 0 1.008"))).unwrap();
+    assert_eq!(stack.lights[0], Vec3::Z);
+    assert_eq!(warnings, [Warning::LightsNormalised { lights: 1, worst: 1.008 }]);
+
+    let mut zeros = fixture();
+    zeros.truth.as_mut().unwrap()[2] = Vec3::ZERO;
+    let (stack, warnings) = read(&object_files(&zeros)).unwrap();
+    assert_eq!((stack.truth.unwrap()[2], warnings), (Vec3::ZERO, vec![Warning::ZeroTruth { pixels: 1 }]));
+
+    let mut bear = sphere(9, 7, 96, BitDepth::Eight);
+    bear.name = "bear".into();
+    let (_, warnings) = read_object(&object_files(&bear), "bearPNG", &Limits::default()).unwrap();
+    assert_eq!(warnings, [Warning::BadFirstImages { images: 20 }]);
+}
+
+#[test]
+fn normals_in_a_text_file_are_read_also_upside_down() {
+    let stack = sphere(9, 8, 4, BitDepth::Eight);
+    // A lopsided mask, so that upside down is another thing.
+    let mut lopsided = stack.clone();
+    let keep: Vec<bool> = (0..stack.mask.len()).map(|p| stack.mask.position(p).1 < 5).collect();
+    let inside = stack.mask.scatter(&keep, false);
+    lopsided.mask = coil_ps::stack::Mask::new(9, 8, &inside).unwrap();
+    let kept = |v: &[[u16; 3]]| v.iter().zip(&keep).filter(|k| *k.1).map(|k| *k.0).collect::<Vec<_>>();
+    lopsided.images = stack.images.iter().map(|i| kept(i)).collect();
+    let truth: Vec<Vec3> =
+        stack.truth.unwrap().into_iter().zip(&keep).filter(|k| *k.1).map(|k| k.0).collect();
+    lopsided.truth = None;
+    let rows: Vec<String> = lopsided
+        .mask
+        .scatter(&truth, Vec3::ZERO)
+        .chunks(9)
+        .map(|row| row.iter().map(|n| format!("{} {} {}\n", n.x, n.y, n.z)).collect())
+        .collect();
+    let turned: Vec<String> = rows.iter().rev().cloned().collect();
+    for (text, upside_down) in [(rows.concat(), false), (turned.concat(), true)] {
+        let mut files = object_files(&lopsided);
+        files.insert("spherePNG/normal.txt", text.into_bytes()).unwrap();
+        let (read, warnings) = read(&files).unwrap();
+        assert_eq!(read.truth.as_ref(), Some(&truth));
+        assert_eq!(warnings.len(), usize::from(upside_down));
+    }
+}
+
+#[test]
+fn every_inconsistency_is_named_with_file_and_line() {
+    let text = |t: &str| Some(t.as_bytes().to_vec());
+    let grey = |w, h, v| Some(encode_grey(w, h, &vec![v; (w * h) as usize]).unwrap());
+    let png16 = || write_object(&fixture()).unwrap().remove(1).1;
+    let mat_of = |dims: Vec<usize>, name: &str| {
+        let values = vec![0.5; dims.iter().product()];
+        Some(mat::write_array(name, &mat::Array { dims, values }))
+    };
+    let nan_truth = {
+        let mut values = vec![0.6; 7 * 9 * 3];
+        values[3 * 7 + 2] = f64::NAN; // column 3, row 2
+        Some(mat::write_array("Normal_gt", &mat::Array { dims: vec![7, 9, 3], values }))
+    };
+    let (names, lights, gains) = ("filenames.txt", "light_directions.txt", "light_intensities.txt");
+    for (file, content, message) in [
+        ("003.png", None, "spherePNG/filenames.txt:3: image '003.png' is missing"),
+        (
+            names,
+            with_line(names, 3, "001.png"),
+            "spherePNG/filenames.txt:3: '001.png' stands already on line 1",
+        ),
+        (
+            names,
+            with_line(names, 2, "../../etc/passwd"),
+            "spherePNG/filenames.txt:2: unsafe name '../../etc/passwd': it goes up a folder",
+        ),
+        (
+            names,
+            with_line(names, 2, "C:\\001.png"),
+            "spherePNG/filenames.txt:2: unsafe name 'C:\\\\001.png': it is absolute",
+        ),
+        (names, text("\n \n"), "spherePNG/filenames.txt: missing (it names no image)"),
+        (lights, None, "spherePNG/light_directions.txt: missing (a unit vector"),
+        (lights, text("0 0 1\n\n0 0 1\n0 0 1\n"), "spherePNG/light_directions.txt: 3 lines for 4 images"),
+        (
+            lights,
+            with_line(lights, 4, "0 0 1\n0 0 1"),
+            "spherePNG/light_directions.txt: 5 lines for 4 images",
+        ),
+        (
+            lights,
+            with_line(lights, 2, "0 0.6 0.85"),
+            "spherePNG/light_directions.txt:2: the light direction has length 1.04",
+        ),
+        (
+            lights,
+            with_line(lights, 2, "0 0 0"),
+            "spherePNG/light_directions.txt:2: the light direction has length 0, 100.0 % off",
+        ),
+        (
+            lights,
+            with_line(lights, 2, "0 0.6 -0.8"),
+            "spherePNG/light_directions.txt:2: the light comes from behind the object (z = -0.8)",
+        ),
+        (lights, with_line(lights, 3, "0 NaN 1"), "spherePNG/light_directions.txt:3: NaN is not finite"),
+        (lights, with_line(lights, 3, "0 1e999 1"), "spherePNG/light_directions.txt:3: 1e999 is not finite"),
+        (lights, with_line(lights, 3, "0 one 1"), "spherePNG/light_directions.txt:3: 'one' is not a number"),
+        (
+            lights,
+            with_line(lights, 1, "0 1"),
+            "spherePNG/light_directions.txt:1: 2 numbers where 3 are needed",
+        ),
+        (gains, with_line(gains, 4, "1 0 1"), "spherePNG/light_intensities.txt:4: intensity 0 of channel 1"),
+        (
+            gains,
+            with_line(gains, 4, "1 1 -2"),
+            "spherePNG/light_intensities.txt:4: intensity -2 of channel 2",
+        ),
+        (gains, with_line(gains, 4, "1 1e39 1"), "spherePNG/light_intensities.txt:4: 1"),
+        (
+            gains,
+            with_line(gains, 4, "1 1"),
+            "spherePNG/light_intensities.txt:4: 2 numbers where 3 (or 1) are needed",
+        ),
+        (gains, text("1 1 1\n"), "spherePNG/light_intensities.txt: 1 lines for 4 images"),
+        ("mask.png", None, "spherePNG/mask.png: missing"),
+        ("mask.png", grey(9, 7, 0), "spherePNG/mask.png: the mask is empty: none of its 9×7 pixels"),
+        (
+            "mask.png",
+            grey(9, 8, 255),
+            "spherePNG/Normal_gt.mat: an array of 7×9×3 where the mask needs 8×9×3",
+        ),
+        ("mask.png", text("P5 9 7 255"), "spherePNG/mask.png: not a PNG file (it starts with \"P5 9 7 2\")"),
+        ("002.png", grey(7, 9, 1), "spherePNG/002.png: 7×9 pixels where the mask has 9×7"),
+        (
+            "002.png",
+            Some(encode_rgb(9, 7, BitDepth::Eight, &[[1; 3]; 63]).unwrap()),
+            "spherePNG/002.png: 8 bits a channel where spherePNG/001.png has 16",
+        ),
+        (
+            "002.png",
+            Some(png16()[..100].to_vec()),
+            "spherePNG/002.png: the PNG ends too early, after 100 bytes",
+        ),
+        ("002.png", text(""), "spherePNG/002.png: not a PNG file"),
+        ("Normal_gt.mat", text("MATLAB 7.3 MAT-file"), "spherePNG/Normal_gt.mat: MAT version 7.3"),
+        ("Normal_gt.mat", text("nothing"), "spherePNG/Normal_gt.mat: not a MAT file"),
+        (
+            "Normal_gt.mat",
+            mat_of(vec![7, 9, 3], "N"),
+            "spherePNG/Normal_gt.mat: no variable 'Normal_gt': the file holds N",
+        ),
+        (
+            "Normal_gt.mat",
+            mat_of(vec![9, 7, 3], "Normal_gt"),
+            "spherePNG/Normal_gt.mat: an array of 9×7×3 where the mask needs 7×9×3",
+        ),
+        (
+            "Normal_gt.mat",
+            nan_truth,
+            "spherePNG/Normal_gt.mat:column 3, row 2: normal (NaN, 0.6, 0.6) is not finite",
+        ),
+    ] {
+        let found = message_with(file, content);
+        assert!(found.starts_with(message), "{file}:\n  {found}\n  {message}");
+    }
+}
+
+#[test]
+fn limits_hold_before_anything_is_decoded() {
+    let files = object_files(&fixture());
+    let refused = |limits: Limits| Header::read(&files, "spherePNG", &limits).unwrap_err().to_string();
+    let default = Limits::default();
+    assert!(refused(Limits { images: 3, ..default }).contains("4 images, more than the limit of 3"));
+    assert!(
+        refused(Limits { pixels: 62, ..default }).contains("mask.png: 9×7 pixels, more than the limit of 62")
+    );
+    assert!(
+        refused(Limits { object_bytes: 100, ..default })
+            .contains("bytes of images, more than the limit of 100")
+    );
+    assert!(refused(Limits { file_bytes: 10, ..default }).contains("more than the limit of 10"));
+    // What must fit by default: DiLiGenT10², and a rendered set.
+    for (images, pixels) in [(100u64, 1001u64 * 1001), (1000, 128 * 128)] {
+        assert!(images * pixels * 6 <= default.object_bytes && images <= default.images as u64);
+        assert!(pixels <= default.pixels as u64);
+    }
+    assert_valid(&read(&files).unwrap().0);
 }

@@ -1,7 +1,9 @@
 //! What several test files share.
 #![allow(dead_code)] // not every test file uses everything
 
-use coil_ps::dataset::{DatasetError, Limits, Memory, read_object};
+pub mod parsers;
+
+use coil_ps::dataset::{DatasetError, Limits, Memory, read_object, write_object};
 use coil_ps::stack::RawStack;
 use std::path::{Path, PathBuf};
 
@@ -49,6 +51,15 @@ pub fn folder_files(folder: &Path) -> Memory {
         if path.is_file() {
             files.insert(&format!("{root}/{name}"), std::fs::read(&path).expect("a readable file")).unwrap();
         }
+    }
+    files
+}
+
+/// The files of a stack in DiLiGenT's layout, in folder "NAMEPNG".
+pub fn object_files(stack: &RawStack) -> Memory {
+    let mut files = Memory::new();
+    for (name, bytes) in write_object(stack).expect("a valid stack") {
+        files.insert(&format!("{}PNG/{name}", stack.name), bytes).unwrap();
     }
     files
 }
