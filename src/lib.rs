@@ -7,23 +7,61 @@
 //!
 //! Frame: x right, y up (image row 0 is +y), z towards the camera. Angles are radians inside the
 //! crate and degrees where people read them.
+//!
+//! The whole loop, on a rendered object:
+//! ```
+//! # #[cfg(feature = "render")] {
+//! use coil_ps::camera::{Camera, Domain};
+//! use coil_ps::planner::{self, Setup};
+//! use coil_ps::render::{self, Material, Options, Pose, Scene, SceneCamera};
+//! use coil_ps::session::{Session, Step};
+//! use coil_ps::{error, solve::LeastSquares};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let shape = render::named("blob:7")?;
+//! let pose = Pose::fit(&shape, shape.front())?;
+//! let finish = "nylon".parse::<Material>()?.into();
+//! let scene = Scene::new("blob", &shape, &pose, &finish, &Options { size: 48, ..Options::default() })?;
+//! let camera = SceneCamera::new(&scene);
+//!
+//! let setup = Setup { lights: 10, seed: 1, draw: 0, camera: None, truth: None };
+//! let planner = planner::build("tk22", &setup)?;
+//! let domain = Domain::Hemisphere { reach: 70f32.to_radians() };
+//! let mut session = Session::new(camera.mask().clone(), domain, planner, 10);
+//! while let Step::Capture(direction) = session.step()? {
+//!     let picture = camera.capture(direction, session.seen())?;
+//!     session.observe(picture)?;
+//! }
+//! let solution = session.solve(&LeastSquares, 10)?;
+//! let mae = error::mae(&solution.normals, scene.truth());
+//! assert!(mae < 30.0, "{mae}°");
+//! # Ok(())
+//! # }
+//! # main().unwrap();
+//! # }
+//! ```
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 
 pub mod rng;
 
-pub mod camera;
-pub mod dataset;
-pub mod error;
-pub mod image;
 pub mod light;
-pub mod planner;
+
+pub mod image;
+pub mod stack;
+
+pub mod dataset;
+
+pub mod camera;
 pub mod relight;
 #[cfg(feature = "render")]
 pub mod render;
-pub mod session;
+
+pub mod error;
 pub mod solve;
-pub mod stack;
+
+pub mod planner;
+pub mod session;
 
 pub mod view;
 
