@@ -8,6 +8,7 @@ use super::statistics::{interval95, mean};
 use crate::camera::{Camera, Domain, Observation};
 use crate::error;
 use crate::light;
+use crate::planner::oracle::ORACLE_CANDIDATES;
 use crate::planner::{self, Choice, PlanError, Setup};
 use crate::relight::Lookup;
 use crate::session::{Session, SessionError, Step};
@@ -20,7 +21,7 @@ use std::f32::consts::FRAC_PI_2;
 /// Version of the results' JSON.
 pub const SCHEMA: &str = "coil-ps/results/1";
 
-/// The pseudo-planner that takes every light of the stack.
+/// The pseudo-planner that takes every light of the stack (of a rendered object: 100 Fibonacci directions).
 pub const ALL_LIGHTS: &str = "all";
 
 /// What to compare.
@@ -273,20 +274,24 @@ pub fn run_watched(
     Ok(Run { seen, mae })
 }
 
+/// Every image of a stack; of a scene as many pictures as the oracle has candidates.
 fn every_light(subject: &Subject) -> Result<Vec<Observation>, SessionError> {
-    let Subject::Stack(stack) = subject else {
-        return Err(PlanError::Needs { planner: ALL_LIGHTS, what: "a stack of stored images".into() }.into());
-    };
-    Ok((0..stack.len())
-        .map(|k| Observation {
-            requested: stack.lights[k],
-            light: stack.lights[k],
-            grey: stack.grey[k].clone(),
-            rgb: Vec::new(),
-            effective_images: 1.0,
-            index: Some(k),
-        })
-        .collect())
+    match *subject {
+        Subject::Stack(stack) => Ok((0..stack.len())
+            .map(|k| Observation {
+                requested: stack.lights[k],
+                light: stack.lights[k],
+                grey: stack.grey[k].clone(),
+                rgb: Vec::new(),
+                effective_images: 1.0,
+                index: Some(k),
+            })
+            .collect()),
+        Subject::Scene { camera, reach, .. } => {
+            let lights = light::fibonacci_cap(ORACLE_CANDIDATES, reach);
+            Ok(lights.into_iter().map(|l| camera.capture(l, &[])).collect::<Result<_, _>>()?)
+        }
+    }
 }
 
 fn plan(

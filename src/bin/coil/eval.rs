@@ -1,23 +1,22 @@
 //! `coil eval`: the table of planners and solvers on every object.
 
-use crate::objects::{self, Object};
+use crate::objects::Selection;
 use crate::output;
 use anyhow::Context;
 use clap::Args;
 use coil_ps::eval::table::{self, ALL_LIGHTS};
-use coil_ps::eval::{Protocol, Report, Row, Run, RunSpec, Settings};
+use coil_ps::eval::{Protocol, Report, Row, Run, RunSpec, Settings, Subject};
 use coil_ps::session::SessionError;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// Compare planners and solvers on every object under PATH.
 #[derive(Args)]
 pub struct EvalArgs {
-    /// Objects: a DiLiGenT object, a folder or .zip with some, or a rendered one (see `coil render --help`).
-    #[arg(required = true)]
-    paths: Vec<String>,
+    #[command(flatten)]
+    selection: Selection,
     /// Planners, separated by commas; `all` takes every light of the stack.
     #[arg(long, value_delimiter = ',', default_value = "all,random,dc05,dc05v,tk22,lipids,oracle")]
     planner: Vec<String>,
@@ -39,9 +38,6 @@ pub struct EvalArgs {
     /// Seed of all repetitions.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Take DiLiGenT's bear without its first 20 images, which are known to be bad (protocol 128 always does).
-    #[arg(long)]
-    bear76: bool,
     /// Write the results as JSON to FILE (- or nothing: to standard output, instead of the table).
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "-")]
     json: Option<PathBuf>,
@@ -63,7 +59,7 @@ pub fn run(args: EvalArgs) -> anyhow::Result<ExitCode> {
     };
     let runs = settings.runs()?;
     let mut results = Vec::new();
-    objects::for_each(&args.paths, settings.protocol, args.bear76, |name, object| {
+    args.selection.for_each(settings.protocol, |name, object| {
         let object = match object {
             Ok(object) => object,
             Err(error) => {
@@ -72,16 +68,9 @@ pub fn run(args: EvalArgs) -> anyhow::Result<ExitCode> {
                 return Ok(());
             }
         };
-        let done = run_all(&object, &runs, &settings);
-        let rows = table::rows(&object.subject(), &settings, &done);
-        for row in rows.iter().filter(|r| r.error.is_some()) {
-            eprintln!("{name}: {}", row.error.as_deref().unwrap_or_default());
-        }
-        if let Some(dir) = &args.out {
-            let first: Vec<_> = done.iter().filter(|(spec, _)| spec.draw == 0).collect();
-            output::write_runs(dir, &object.subject(), &first, &settings)
-                .with_context(|| format!("{}", dir.display()))?;
-        }
+        let reach = args.selection.reach.to_radians();
+        let rows =
+            object.with_subject(reach, |subject| evaluate(subject, &runs, &settings, args.out.as_deref()))?;
         results.extend(rows);
         Ok(())
     })?;
@@ -98,18 +87,19 @@ pub fn run(args: EvalArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::from(u8::from(report.has_errors())))
 }
 
-fn run_all(
-    object: &Object,
+/// All runs on one object, in threads; its pictures where `out` names a folder.
+fn evaluate(
+    subject: &Subject,
     runs: &[RunSpec],
     settings: &Settings,
-) -> Vec<(RunSpec, Result<Run, SessionError>)> {
-    let subject = object.subject();
+    out: Option<&Path>,
+) -> anyhow::Result<Vec<Row>> {
     let bar = output::progress(runs.len(), subject.name());
-    let done = runs
+    let done: Vec<(RunSpec, Result<Run, SessionError>)> = runs
         .par_iter()
         .map(|spec| {
-            let mut run = table::run(&subject, spec, &settings.solvers);
-            if let (Ok(run), true) = (&mut run, spec.draw > 0) {
+            let mut run = table::run(subject, spec, &settings.solvers);
+            if let (Ok(run), true) = (&mut run, spec.draw > 0 || out.is_none()) {
                 run.forget_pixels();
             }
             bar.inc(1);
@@ -117,7 +107,15 @@ fn run_all(
         })
         .collect();
     bar.finish_and_clear();
-    done
+    let rows = table::rows(subject, settings, &done);
+    for row in rows.iter().filter(|r| r.error.is_some()) {
+        eprintln!("{}: {}: {}", row.object, row.planner, row.error.as_deref().unwrap_or_default());
+    }
+    if let Some(dir) = out {
+        let first: Vec<_> = done.iter().filter(|(spec, _)| spec.draw == 0).collect();
+        output::write_runs(dir, subject, &first, settings).with_context(|| dir.display().to_string())?;
+    }
+    Ok(rows)
 }
 
 /// One block for each look-up, solver and number of lights: planners down, objects across.
@@ -201,7 +199,7 @@ mod tests {
         let line = "eval a b.zip --planner all,random,oracle --solver ls --lights 10 --protocol 128 --lookup soft:0.02 \
                     --draws 30 --seed 1 --json out.json --out dir";
         let args = Cli::try_parse_from(line.split_whitespace()).unwrap().eval;
-        assert_eq!(args.paths, ["a", "b.zip"]);
+        assert_eq!(args.selection.paths, ["a", "b.zip"]);
         assert_eq!((args.planner.len(), args.protocol, args.draws), (3, Protocol::P128, 30));
         assert!(Cli::try_parse_from(["eval"]).is_err());
     }

@@ -1,6 +1,6 @@
 //! `coil study k`: the brute-force study over the number of candidates.
 
-use crate::objects;
+use crate::objects::Selection;
 use crate::output;
 use clap::{Args, Subcommand};
 use coil_ps::camera::Camera;
@@ -30,9 +30,8 @@ enum Study {
 
 #[derive(Args)]
 struct KArgs {
-    /// Objects: a DiLiGenT object, a folder or .zip with some, or a rendered one (exact at every direction).
-    #[arg(required = true)]
-    paths: Vec<String>,
+    #[command(flatten)]
+    selection: Selection,
     /// Numbers of candidates, separated by commas.
     #[arg(long, value_delimiter = ',', default_value = "50,100,500,1000")]
     k: Vec<usize>,
@@ -91,9 +90,11 @@ pub fn run(args: StudyArgs) -> anyhow::Result<ExitCode> {
     anyhow::ensure!(args.k.iter().all(|k| (1..=100_000).contains(k)), "--k: numbers from 1 to 100000");
     anyhow::ensure!(lights.iter().all(|t| (3..=1000).contains(t)), "--lights: numbers from 3 to 1000");
     let mut results = Vec::new();
-    objects::for_each(&args.paths, args.protocol, false, |name, object| {
-        let entries =
-            object.and_then(|object| search(&object.subject(), &args.k, &lights, most, args.lookup));
+    let reach = args.selection.reach.to_radians();
+    args.selection.for_each(args.protocol, |name, object| {
+        let entries = object.and_then(|object| {
+            object.with_subject(reach, |subject| search(subject, &args.k, &lights, most, args.lookup))
+        });
         results.extend(entries.unwrap_or_else(|error| {
             eprintln!("{name}: {error:#}");
             let failed = |&k: &usize| Entry {
