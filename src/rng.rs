@@ -42,7 +42,12 @@ impl Rng {
 
     /// Uniform in 0..n; 0 when n is 0.
     pub fn below(&mut self, n: usize) -> usize {
-        if n == 0 { 0 } else { self.0.random_range(0..n as u64) as usize }
+        self.below_u64(n as u64) as usize
+    }
+
+    /// Uniform in 0..n, also where `usize` has 32 bits; 0 when n is 0.
+    pub fn below_u64(&mut self, n: u64) -> u64 {
+        if n == 0 { 0 } else { self.0.random_range(0..n) }
     }
 
     /// Standard normal (Box-Muller).

@@ -91,7 +91,7 @@ impl Split {
 
     /// A sculpture seed of this split.
     fn shape_seed(self, rng: &mut Rng) -> u64 {
-        3 * rng.below(1 << 40) as u64 + self as u64
+        3 * rng.below_u64(1 << 40) + self as u64
     }
 }
 
