@@ -89,7 +89,7 @@
  * @property {{ body: { index: number, size: number }, reply: Picture, progress: never }} photo
  * @property {{ body: { x: number, y: number }, reply: PixelInfo | null, progress: never }} pixel
  * @property {{ body: { scale: number, width: number }, reply: Picture, progress: never }} colours
- * @property {{ body: { what: "normals" | "errors" | "image" | "relit" | "lp" }, reply: { bytes: ArrayBuffer, type: string, name: string }, progress: never }} export
+ * @property {{ body: { what: "normals" | "errors" | "image" | "relit" | "lp" | "object" }, reply: { bytes: ArrayBuffer, type: string, name: string }, progress: never }} export
  */
 
 /** @typedef {keyof Calls} Kind */

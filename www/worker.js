@@ -152,6 +152,10 @@ const answers = {
   },
 
   async export({ what }) {
+    if (what === "object") {
+      const object = needed(state.object, "open an object first");
+      return file(object.toZip(), "application/zip", "diligent.zip");
+    }
     const { observations, solution, scale } = needed(state.shown, "nothing is shown yet");
     const solved = () => needed(solution, "there are no normals yet");
     switch (what) {

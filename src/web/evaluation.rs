@@ -117,9 +117,7 @@ impl Evaluation {
         }
         // Only the directions are of interest afterwards: the pictures can be had again.
         let run = run.map(|mut run| {
-            for o in &mut run.seen {
-                (o.grey, o.rgb) = (Vec::new(), Vec::new());
-            }
+            run.forget_pixels();
             run
         });
         self.runs.push((spec, run));

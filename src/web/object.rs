@@ -1,7 +1,7 @@
 //! Datasets: names and bytes in, an object out, with the images decoded wherever the caller likes.
 
 use super::{fail, stack::Stack};
-use crate::dataset::archive::Zip;
+use crate::dataset::archive::{self, Zip};
 use crate::dataset::diligent::{self, Header};
 use crate::dataset::{Files, Limits, Memory};
 use crate::eval::Protocol;
@@ -223,6 +223,13 @@ impl CapturedObject {
     #[must_use]
     pub fn truth(&self) -> bool {
         self.0.truth.is_some()
+    }
+
+    /// The object as the files of a DiLiGenT folder, in a zip archive that any reader of DiLiGenT can unpack.
+    #[wasm_bindgen(js_name = toZip)]
+    pub fn to_zip(&self) -> Result<Vec<u8>, JsError> {
+        let files = diligent::write_object(&self.0).map_err(fail)?;
+        archive::write_zip(&files).map_err(fail)
     }
 
     /// The linear stack that a protocol (`official` or `128`) makes of it.

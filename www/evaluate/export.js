@@ -14,6 +14,7 @@ const solved = (/** @type {Readonly<State>} */ state) => Boolean(state.view?.nor
 export const EXPORTS = [
   { name: "Table (CSV)", ready: state => state.report !== null, save: async (_, state) => download(new Blob([csv(state)], { type: "text/csv" }), `${base(state)}.csv`) },
   { name: "Table (JSON, as coil eval writes it)", ready: state => state.report !== null, save: async (_, state) => download(new Blob([JSON.stringify(state.report, null, 2)], { type: "application/json" }), `${base(state)}.json`) },
+  { name: "Object (DiLiGenT, .zip)", ready: state => state.object !== null, save: (page, state) => saveFromWorker(page, state, "object") },
   { name: "Lights of this run (.lp)", ready: state => state.view !== null, save: (page, state) => saveFromWorker(page, state, "lp") },
   { name: "Normals (16-bit PNG)", ready: solved, save: (page, state) => saveFromWorker(page, state, "normals") },
   { name: "Error map (PNG)", ready: state => Boolean(state.view?.errors), save: (page, state) => saveFromWorker(page, state, "errors") },
@@ -28,7 +29,7 @@ export const EXPORTS = [
  */
 async function saveFromWorker(page, state, what) {
   const { bytes, type, name } = await page.engine.call("export", { what });
-  download(new Blob([bytes], { type }), `${base(state)}-${state.shown.planner}-${state.shown.step}-${name}`);
+  download(new Blob([bytes], { type }), `${base(state)}-${what === "object" ? "" : `${state.shown.planner}-${state.shown.step}-`}${name}`);
 }
 
 /**

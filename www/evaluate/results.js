@@ -34,7 +34,7 @@ export function mountResults(root, { page, store, actions }) {
         page.problem(`“${name}” could not be saved`, error);
       }
     });
-    store.watch(["report", "view", "relit"], state => { button.disabled = !ready(state); });
+    store.watch(["object", "report", "view", "relit"], state => { button.disabled = !ready(state); });
     list.append(button);
   }
   menu.addEventListener("keydown", event => {
