@@ -2,7 +2,7 @@
 
 mod support;
 
-use coil_ps::eval::table::{Row, rows, run};
+use coil_ps::eval::table::{Row, evaluate};
 use coil_ps::eval::{Protocol, Settings, Subject};
 
 fn table(object: &str, protocol: Protocol, planners: &[&str], draws: usize) -> Option<Vec<Row>> {
@@ -17,17 +17,7 @@ fn table(object: &str, protocol: Protocol, planners: &[&str], draws: usize) -> O
         draws,
         seed: 1,
     };
-    let subject = Subject::Stack(&stack);
-    let runs: Vec<_> = settings
-        .runs()
-        .unwrap()
-        .into_iter()
-        .map(|s| {
-            let r = run(&subject, &s, &settings.solvers);
-            (s, r)
-        })
-        .collect();
-    Some(rows(&subject, &settings, &runs))
+    Some(evaluate(&Subject::Stack(&stack), &settings).unwrap())
 }
 
 /// Least squares over all 96 lights, official protocol: shared/data/README.md.

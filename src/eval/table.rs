@@ -398,6 +398,25 @@ pub fn failed_rows(object: &str, settings: &Settings, error: &str) -> Result<Vec
     Ok(rows)
 }
 
+/// Makes every run on one object, one after the other, and sums them up.
+///
+/// # Errors
+/// [`SettingsError`] for settings that can't be run; a run that fails is a row with an error.
+pub fn evaluate(subject: &Subject, settings: &Settings) -> Result<Vec<Row>, SettingsError> {
+    let runs: Vec<_> = settings
+        .runs()?
+        .into_iter()
+        .map(|spec| {
+            let mut made = run(subject, &spec, &settings.solvers);
+            if let Ok(made) = &mut made {
+                made.forget_pixels();
+            }
+            (spec, made)
+        })
+        .collect();
+    Ok(rows(subject, settings, &runs))
+}
+
 /// Sums up the runs of one object (in the order of [`Settings::runs`]): one row for each combination.
 #[must_use]
 pub fn rows(
@@ -569,17 +588,7 @@ mod tests {
     }
 
     fn table(stack: &Stack, settings: &Settings) -> Vec<Row> {
-        let subject = Subject::Stack(stack);
-        let runs: Vec<_> = settings
-            .runs()
-            .unwrap()
-            .into_iter()
-            .map(|s| {
-                let r = run(&subject, &s, &settings.solvers);
-                (s, r)
-            })
-            .collect();
-        rows(&subject, settings, &runs)
+        evaluate(&Subject::Stack(stack), settings).unwrap()
     }
 
     #[test]

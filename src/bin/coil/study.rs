@@ -47,9 +47,9 @@ struct KArgs {
     /// Write the results as JSON to FILE (- or nothing: to standard output, instead of the table).
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "-")]
     json: Option<PathBuf>,
-    /// Write the plot to FILE (SVG).
-    #[arg(long, value_name = "FILE")]
-    plot: Option<PathBuf>,
+    /// Where to write the plot (SVG).
+    #[arg(long, value_name = "FILE", default_value = "study-k.svg")]
+    plot: PathBuf,
 }
 
 #[derive(Serialize)]
@@ -109,9 +109,8 @@ pub fn run(args: StudyArgs) -> anyhow::Result<ExitCode> {
     })?;
     let failed = results.iter().any(|e| e.error.is_some());
     let means = means(&results, &args.k, &lights);
-    if let Some(path) = &args.plot {
-        output::write(path, plot(&means, &args.k).svg().as_bytes())?;
-    }
+    output::write(&args.plot, plot(&means, &args.k).svg().as_bytes())?;
+    eprintln!("plot: {}", args.plot.display());
     let table = text_table(&means, &args.k, &lights);
     let report = StudyReport {
         schema: "coil-ps/study-k/1",
