@@ -360,3 +360,102 @@ fn limits_hold_before_anything_is_decoded() {
     }
     assert_valid(&read(&files).unwrap().0);
 }
+
+#[cfg(feature = "cli")]
+mod command_line {
+    use super::*;
+    use std::path::{Path, PathBuf};
+    use std::process::{Command, Output};
+
+    /// A folder of its own, removed at the end.
+    struct Scratch(PathBuf);
+
+    impl Scratch {
+        fn new(name: &str) -> Self {
+            let path = std::env::temp_dir().join(format!("coil-ps-{name}-{}", std::process::id()));
+            std::fs::create_dir_all(&path).unwrap();
+            Self(path)
+        }
+
+        fn put(&self, files: &Memory) {
+            for name in files.names() {
+                let path = self.0.join(name);
+                std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+                std::fs::write(path, files.read(name).unwrap()).unwrap();
+            }
+        }
+    }
+
+    impl Drop for Scratch {
+        fn drop(&mut self) {
+            let _ = std::fs::remove_dir_all(&self.0);
+        }
+    }
+
+    fn coil(folder: &Path, args: &[&str]) -> Output {
+        Command::new(env!("CARGO_BIN_EXE_coil")).current_dir(folder).args(args).output().unwrap()
+    }
+
+    #[test]
+    fn info_goes_on_after_a_broken_object_and_its_status_says_so() {
+        let scratch = Scratch::new("info");
+        scratch.put(&object_files(&fixture()));
+        let good = coil(&scratch.0, &["info", ".", "--json"]);
+        assert!(good.status.success());
+        let mut broken = changed("003.png", Some(b"no image".to_vec()));
+        let png = encode_rgb(3, 3, BitDepth::Sixteen, &[[1; 3]; 9]).unwrap();
+        broken.insert("spherePNG/002.png", png).unwrap();
+        scratch.put(&broken);
+        let mut other = fixture();
+        other.name = "z".into();
+        scratch.put(&object_files(&other));
+
+        let out = coil(&scratch.0, &["info", ".", "nowhere", "--json"]);
+        assert_eq!(out.status.code(), Some(1));
+        let report: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+        assert_eq!(report["schema"], "coil-ps/info/1");
+        let objects = report["objects"].as_array().unwrap();
+        assert_eq!(objects.len(), 3);
+        // Every broken image, not only the first.
+        let errors: Vec<&str> =
+            objects[0]["errors"].as_array().unwrap().iter().filter_map(|e| e.as_str()).collect();
+        assert!(
+            errors[0].contains("002.png: 3×3 pixels") && errors[1].contains("003.png: not a PNG"),
+            "{errors:?}"
+        );
+        assert_eq!((&objects[1]["object"], &objects[1]["bits"]), (&"z".into(), &16.into()));
+        assert_eq!(objects[1]["errors"].as_array().unwrap().len(), 0);
+        assert!(objects[2]["errors"][0].as_str().unwrap().contains("nowhere: no such folder"));
+
+        let text = String::from_utf8(coil(&scratch.0, &["info", "."]).stdout).unwrap();
+        assert!(text.contains("ERROR: ") && text.contains("images    4 of 9×7 pixels, 16 bit"), "{text}");
+    }
+
+    #[test]
+    fn every_export_is_read_back() {
+        let scratch = Scratch::new("export");
+        scratch.put(&object_files(&fixture()));
+        let export = |to: &str| coil(&scratch.0, &["export", "spherePNG", "--to", to, "--out", "out"]);
+        for to in ["lp", "csv", "diligent", "zip", "normals", "submission"] {
+            let out = export(to);
+            assert!(out.status.success(), "{to}: {}", String::from_utf8_lossy(&out.stderr));
+        }
+        assert_eq!(export("lp").status.code(), Some(1), "nothing is overwritten unasked");
+        let bytes = |name: &str| std::fs::read(scratch.0.join("out").join(name)).unwrap();
+        let lights = coil_ps::dataset::lp::read_lp(&bytes("sphere.lp"), "sphere.lp").unwrap();
+        assert_eq!(lights.iter().map(|l| l.1).collect::<Vec<_>>(), fixture().lights);
+        assert_eq!(String::from_utf8(bytes("sphere_lights.csv")).unwrap().lines().count(), 5);
+        let zip = Zip::new(bytes("sphere.zip"), "sphere.zip", &Limits::default()).unwrap();
+        assert_same(&read(&zip).unwrap().0, &fixture());
+        assert_same(&read(&support::folder_files(&scratch.0.join("out/spherePNG"))).unwrap().0, &fixture());
+        let truth = fixture().truth.unwrap();
+        let picture = fixture().mask.gather(&decode_png(&bytes("sphere_normals.png"), 100).unwrap().rgb);
+        for (rgb, n) in picture.iter().zip(&truth) {
+            assert!((Vec3::from(rgb.map(|v| f32::from(v) / 32767.5 - 1.0)) - *n).length() < 1e-4);
+        }
+        // A matt sphere is solved to the rounding of 16-bit images, but where a light does not reach.
+        let solved = mat::read_array(&bytes("sphere.mat"), "Normal_est", 1000).unwrap();
+        let middle = |c: usize| solved.values[c * 63 + 4 * 7 + 3]; // column 4, row 3
+        assert!(middle(0).abs() < 1e-3 && middle(1).abs() < 1e-3 && middle(2) > 0.999);
+    }
+}

@@ -52,8 +52,33 @@ fn valid(target: &str) -> Vec<Vec<u8>> {
             let files = object.into_iter().map(|(_, bytes)| bytes).chain([normals.into_bytes()]);
             (0u8..).zip(files).map(|(which, bytes)| [vec![which], bytes].concat()).collect()
         }
+        "mesh" => {
+            MESHES.iter().map(|(format, text)| [&[*format][..], text].concat()).chain([stl()]).collect()
+        }
         _ => panic!("no valid files for {target}"),
     }
+}
+
+const MESHES: [(u8, &[u8]); 3] = [
+    (0, b"# two faces\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvn 0 0 1\nf 1//1 2//1 3//1\nf -4 -2 -1\n"),
+    (
+        1,
+        b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n\
+          property list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n",
+    ),
+    (2, b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid\n"),
+];
+
+/// One triangle, binary.
+fn stl() -> Vec<u8> {
+    let mut bytes = vec![0; 81];
+    bytes[0] = 2; // the format
+    bytes.extend(1u32.to_le_bytes());
+    for v in [0.0f32, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0] {
+        bytes.extend(v.to_le_bytes());
+    }
+    bytes.extend([0; 2]);
+    bytes
 }
 
 /// A 1×2 array as `save -v6` writes it: not compressed, small elements.

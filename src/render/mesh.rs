@@ -460,7 +460,8 @@ fn ply(data: &[u8]) -> Result<Soup, MeshError> {
     let mut values = Values { encoding, rest: &data[offset..] };
     let mut soup = Soup::default();
     let mut corners: Vec<u32> = Vec::new();
-    for element in &elements {
+    // Every row takes a byte at least, so that a short file can't claim millions of them.
+    for element in elements.iter().filter(|e| !e.properties.is_empty()) {
         let has_normals = ["nx", "ny", "nz"].iter().all(|n| element.properties.iter().any(|p| p.name == *n));
         for i in 0..element.count {
             let short = || MeshError::Short(format!("{} {} of {}", element.name, i + 1, element.count));

@@ -12,7 +12,15 @@ use glam::Vec3;
 pub type Body = (&'static str, fn(&[u8]) -> bool);
 
 /// Every fuzz target.
-pub const BODIES: &[Body] = &[("png", png), ("mat", mat), ("zip", zip), ("lp", lp), ("object", object)];
+pub const BODIES: &[Body] = &[
+    ("png", png),
+    ("mat", mat),
+    ("zip", zip),
+    ("lp", lp),
+    ("object", object),
+    #[cfg(feature = "render")]
+    ("mesh", mesh),
+];
 
 /// Limits under which a test machine stays calm.
 fn limits() -> Limits {
@@ -117,6 +125,19 @@ pub fn object(bytes: &[u8]) -> bool {
         assert_valid(stack);
     }
     read.is_ok()
+}
+
+/// The first byte names the format of the rest.
+#[cfg(feature = "render")]
+pub fn mesh(bytes: &[u8]) -> bool {
+    let Some((&format, content)) = bytes.split_first() else { return false };
+    let name = ["mesh.obj", "mesh.ply", "mesh.stl"][usize::from(format) % 3];
+    let Ok(mesh) = coil_ps::render::Mesh::from_bytes(name, content) else { return false };
+    assert!(!mesh.triangles.is_empty() && mesh.normals.len() == mesh.triangles.len());
+    assert!(mesh.triangles.iter().flatten().all(|&v| (v as usize) < mesh.positions.len()));
+    assert!(mesh.positions.iter().all(|p| p.is_finite()));
+    assert!(mesh.normals.iter().flatten().all(|n| (n.length() - 1.0).abs() < 1e-3), "{:?}", mesh.normals);
+    true
 }
 
 /// What every reader promises of a stack.

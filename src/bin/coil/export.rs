@@ -3,8 +3,9 @@
 use crate::files;
 use anyhow::{Context, bail};
 use clap::ValueEnum;
-use coil_ps::dataset::{Files, Header, Limits, archive, csv, lp, write_object};
-use coil_ps::eval::plot;
+use coil_ps::dataset::{Files, Header, Limits, archive, csv, diligent102, lp, write_object};
+use coil_ps::eval::{Protocol, plot};
+use coil_ps::solve::{self, Measurements};
 use coil_ps::stack::BitDepth;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -18,6 +19,9 @@ pub struct Args {
     /// What to write.
     #[arg(long, value_enum)]
     to: Format,
+    /// Solver of the submission, from all lights.
+    #[arg(long, default_value = "ls")]
+    solver: String,
     /// Folder to write to; it is made where it is missing.
     #[arg(long)]
     out: PathBuf,
@@ -39,6 +43,8 @@ enum Format {
     Zip,
     /// OBJECT_normals.png: the true normals, 16 bits a channel.
     Normals,
+    /// OBJECT.mat: normals solved from all lights, as DiLiGenT10²'s server takes them.
+    Submission,
 }
 
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
@@ -78,6 +84,14 @@ fn export(files: &dyn Files, dir: &str, limits: &Limits, args: &Args) -> anyhow:
                 Format::Zip => vec![(format!("{}.zip", stack.name), archive::write_zip(&object)?)],
                 _ => object,
             }
+        }
+        Format::Submission => {
+            let (raw, _) = files::read_object(files, dir, limits)?;
+            let stack = Protocol::Official.apply(&raw)?;
+            let images = stack.grey.iter().map(Vec::as_slice).collect();
+            let m = Measurements { lights: stack.lights.clone(), images, saturation: None };
+            let normals = solve::by_name(&args.solver)?.solve(&m)?.normals;
+            vec![(format!("{}.mat", stack.name), diligent102::submission(&stack.mask, &normals))]
         }
     };
     for (name, bytes) in &written {
