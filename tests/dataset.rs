@@ -268,7 +268,7 @@ fn every_inconsistency_is_named_with_file_and_line() {
         (
             lights,
             with_line(lights, 2, "0 0 0"),
-            "spherePNG/light_directions.txt:2: the light direction has length 0, 100.0 % off",
+            "spherePNG/light_directions.txt:2: the light direction has length 0.0000, 100.0 % off",
         ),
         (
             lights,

@@ -152,7 +152,7 @@ pub enum DatasetError {
         of: &'static str,
     },
     /// A light direction that is more than 1 % from unit length.
-    #[error("{file}:{line}: the light direction has length {length}, {:.1} % off: it must be a unit vector", 100.0 * (length - 1.0).abs())]
+    #[error("{file}:{line}: the light direction has length {length:.4}, {:.1} % off: it must be a unit vector", 100.0 * (length - 1.0).abs())]
     NotUnit {
         /// The file.
         file: String,
