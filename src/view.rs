@@ -122,7 +122,7 @@ impl Tone {
         if values.is_empty() {
             return Self::new(1.0);
         }
-        let at = (values.len() - 1) * 99 / 100;
+        let at = (values.len() - 1) - (values.len() - 1) / 100;
         let white = *values.select_nth_unstable_by(at, f32::total_cmp).1;
         Self::new(if white > 0.0 { white } else { 1.0 })
     }

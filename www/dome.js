@@ -22,7 +22,7 @@ import { draw, html, set, svg } from "./svg.js";
 
 const RADIUS = 100;
 /** Sizes in the dome's units, in which its radius is 100. */
-const VIEW = { left: -117, top: -112, width: 234, height: 206 };
+const VIEW = { left: -117, top: -113, width: 234, height: 226 };
 const OBJECT_SIZE = 1.12;
 const DEFAULT_TURN = { yaw: -0.42, tilt: 0.72 };
 const KEY_STEP = Math.PI / 36;
@@ -42,6 +42,8 @@ export class Dome {
   /** @type {number | null} */
   #hot = null;
   #waiting = false;
+  /** What the drawn shell and candidates show: they are many and change seldom. */
+  #drawn = "";
   #canvas = html("canvas", { class: "dome-object", width: 1, height: 1, "aria-hidden": "true" });
   #svg = svg("svg", {
     viewBox: `${VIEW.left} ${VIEW.top} ${VIEW.width} ${VIEW.height}`,
@@ -50,6 +52,7 @@ export class Dome {
   });
   /** Under the object; the marks are above it. */
   #back = svg("svg", { viewBox: `${VIEW.left} ${VIEW.top} ${VIEW.width} ${VIEW.height}`, "aria-hidden": "true" });
+  #dots = svg("g");
   #marks = svg("g");
   #sunMark = svg("g", {
     class: "sun", role: "slider", tabindex: 0, "aria-label": "Relighting direction, azimuth",
@@ -65,7 +68,7 @@ export class Dome {
   constructor(host, events) {
     this.#events = events;
     host.classList.add("dome");
-    this.#svg.append(this.#marks, this.#sunMark);
+    this.#svg.append(this.#dots, this.#marks, this.#sunMark);
     host.append(this.#back, this.#canvas, this.#svg);
     this.#listen();
     new ResizeObserver(() => this.#redraw()).observe(host);
@@ -124,6 +127,11 @@ export class Dome {
     return new XMLSerializer().serializeToString(file);
   }
 
+  /** Height of the dome's centre on the drawing: a tilted dome reaches less far down than up. */
+  get #middle() {
+    return RADIUS * (1 - Math.cos(this.#tilt)) / 2;
+  }
+
   /**
    * Position on the drawing; depth is positive towards the viewer.
    * @param {Direction} direction
@@ -133,7 +141,7 @@ export class Dome {
     const forward = x * sinYaw + y * cosYaw;
     return {
       x: RADIUS * (x * cosYaw - y * sinYaw),
-      y: -RADIUS * (forward * cosTilt + z * sinTilt),
+      y: this.#middle - RADIUS * (forward * cosTilt + z * sinTilt),
       depth: z * cosTilt - forward * sinTilt,
     };
   }
@@ -146,7 +154,7 @@ export class Dome {
    * @returns {Direction}
    */
   #unproject(px, py, near) {
-    let [u, v] = [px / RADIUS, -py / RADIUS];
+    let [u, v] = [px / RADIUS, (this.#middle - py) / RADIUS];
     const r = Math.hypot(u, v);
     if (r > 1) [u, v] = [u / r, v / r];
     const front = Math.sqrt(Math.max(0, 1 - u * u - v * v));
@@ -167,7 +175,12 @@ export class Dome {
     this.#waiting = true;
     requestAnimationFrame(() => {
       this.#waiting = false;
-      this.#drawBack();
+      const drawn = `${this.#yaw} ${this.#tilt} ${this.#reach} ${this.#hot} ${this.#candidates}`;
+      if (drawn !== this.#drawn) {
+        this.#drawBack();
+        this.#drawCandidates();
+        this.#drawn = drawn;
+      }
       this.#drawMarks();
       this.#drawSun();
       this.#placeObject();
@@ -183,13 +196,13 @@ export class Dome {
   }
 
   #drawBack() {
-    const flat = Math.cos(this.#tilt);
+    const [flat, middle] = [Math.cos(this.#tilt), this.#middle];
     /** @type {SVGElement[]} */
     const parts = [
       svg("defs", {}, gradient("dome-shell", ["stop-centre", 1], ["stop-edge", 1]), gradient("dome-floor", ["stop-edge", 0.9], ["stop-edge", 0.2])),
       // The outline of a half ball: the half circle that rises above the floor, and the floor's near edge.
-      svg("path", { class: "shell", d: `M${-RADIUS} 0A${RADIUS} ${RADIUS} 0 0 1 ${RADIUS} 0A${RADIUS} ${RADIUS * flat} 0 0 1 ${-RADIUS} 0Z` }),
-      svg("ellipse", { class: "floor", rx: RADIUS, ry: RADIUS * flat }),
+      svg("path", { class: "shell", d: `M${-RADIUS} ${middle}A${RADIUS} ${RADIUS} 0 0 1 ${RADIUS} ${middle}A${RADIUS} ${RADIUS * flat} 0 0 1 ${-RADIUS} ${middle}Z` }),
+      svg("ellipse", { class: "floor", cy: middle, rx: RADIUS, ry: RADIUS * flat }),
     ];
     for (const slant of [30, 60]) parts.push(svg("path", { class: "grid", d: this.#line(circle(slant)) }));
     for (let azimuth = 0; azimuth < 360; azimuth += 45) {
@@ -200,12 +213,13 @@ export class Dome {
     if (this.#reach < 89) parts.push(svg("path", { class: "reach", d: this.#line(circle(this.#reach)) }));
     for (const [text, azimuth] of /** @type {const} */ ([["+x", 0], ["+y", 90], ["−x", 180], ["−y", 270]])) {
       const at = this.#project(polar(azimuth, 90));
-      parts.push(svg("text", { class: "axis", x: at.x * 1.1, y: at.y * 1.1 + 4 }, text));
+      parts.push(svg("text", { class: "axis", x: at.x * 1.1, y: middle + (at.y - middle) * 1.1 + 3 }, text));
     }
     this.#back.replaceChildren(...parts);
   }
 
-  #drawMarks() {
+  #drawCandidates() {
+    /** @type {SVGElement[]} */
     const parts = [];
     this.#candidates.forEach((direction, i) => {
       const { x, y } = this.#project(direction);
@@ -215,6 +229,12 @@ export class Dome {
         svg("circle", { class: "hit", cx: x.toFixed(2), cy: y.toFixed(2), r: 5, "data-candidate": i }),
       );
     });
+    this.#dots.replaceChildren(...parts);
+  }
+
+  #drawMarks() {
+    /** @type {SVGElement[]} */
+    const parts = [];
     const now = this.#current - 1;
     this.#lights.forEach(({ used }, i) => {
       if (i === 0) return;
@@ -224,7 +244,7 @@ export class Dome {
     const last = this.#lights[now];
     if (last) {
       const at = this.#project(last.used);
-      parts.push(svg("line", { class: "ray", x1: at.x, y1: at.y, x2: 0, y2: 0 }));
+      parts.push(svg("line", { class: "ray", x1: at.x, y1: at.y, x2: 0, y2: this.#middle }));
     }
     const order = this.#lights.map((light, i) => ({ light, i, at: this.#project(light.used) }));
     order.sort((a, b) => a.at.depth - b.at.depth);
@@ -262,7 +282,7 @@ export class Dome {
     }).join("");
     this.#sunMark.replaceChildren(
       svg("defs", {}, gradient("dome-glow", ["stop-glow", 0.55], ["stop-glow", 0])),
-      svg("line", { class: "sun-ray", x1: at.x, y1: at.y, x2: 0, y2: 0 }),
+      svg("line", { class: "sun-ray", x1: at.x, y1: at.y, x2: 0, y2: this.#middle }),
       svg("g", { transform: `translate(${at.x} ${at.y})` },
         svg("circle", { class: "glow", r: 22 }),
         svg("circle", { class: "grab", r: 15 }),
@@ -278,7 +298,7 @@ export class Dome {
     const scale = OBJECT_SIZE * RADIUS / Math.hypot(width, height) * 1.15;
     const [sin, cos, flat] = [Math.sin(this.#yaw), Math.cos(this.#yaw), Math.cos(this.#tilt)];
     // Columns of the image run along +x, rows along −y.
-    return new DOMMatrix([cos * scale, -sin * flat * scale, sin * scale, cos * flat * scale, 0, 0])
+    return new DOMMatrix([cos * scale, -sin * flat * scale, sin * scale, cos * flat * scale, 0, this.#middle])
       .translate(-width / 2, -height / 2);
   }
 

@@ -84,8 +84,8 @@
  * @property {{ body: { source: Source }, reply: ObjectInfo, progress: { done: number, total: number, what: string } }} open
  * @property {{ body: { protocol: string }, reply: StackInfo, progress: never }} prepare
  * @property {{ body: { settings: Settings }, reply: Report, progress: { done: number, total: number, step: RunStep | null, row: ResultRow[] } }} run
- * @property {{ body: { planner: string, solver: string, step: number, scale: number }, reply: StepView, progress: never }} view
- * @property {{ body: { light: Direction }, reply: Picture, progress: never }} relight
+ * @property {{ body: { asked: Direction[], lookup: string, solver: string, scale: number }, reply: StepView, progress: never }} view
+ * @property {{ body: { light: Direction }, reply: Picture | null, progress: never }} relight
  * @property {{ body: { index: number, size: number }, reply: Picture, progress: never }} photo
  * @property {{ body: { x: number, y: number }, reply: PixelInfo | null, progress: never }} pixel
  * @property {{ body: { scale: number, width: number }, reply: Picture, progress: never }} colours

@@ -6,6 +6,8 @@
 export class Store {
   /** @type {{ keys: (keyof S)[], listener: (state: Readonly<S>) => void }[]} */
   #listeners = [];
+  /** What has changed since the listeners were called. @type {Set<keyof S>} */
+  #changed = new Set();
 
   /** @param {S} state */
   constructor(state) {
@@ -14,20 +16,27 @@ export class Store {
   }
 
   /**
-   * Replaces parts of the state.
+   * Replaces parts of the state. The listeners hear of it once in the next frame, however many changes there were.
    * @param {Partial<S>} patch
    */
   update(patch) {
     const before = this.state;
     this.state = { ...before, ...patch };
     const changed = /** @type {(keyof S)[]} */ (Object.keys(patch)).filter(key => before[key] !== this.state[key]);
+    if (!this.#changed.size && changed.length) requestAnimationFrame(() => this.#tell());
+    for (const key of changed) this.#changed.add(key);
+  }
+
+  #tell() {
+    const changed = this.#changed;
+    this.#changed = new Set();
     for (const { keys, listener } of this.#listeners) {
-      if (keys.some(key => changed.includes(key))) listener(this.state);
+      if (keys.some(key => changed.has(key))) listener(this.state);
     }
   }
 
   /**
-   * Calls `listener` now and whenever one of `keys` has changed.
+   * Calls `listener` now, and in the next frame after one of `keys` has changed.
    * @param {(keyof S)[]} keys
    * @param {(state: Readonly<S>) => void} listener
    */

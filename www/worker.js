@@ -30,9 +30,6 @@ const state = {
   object: null,
   /** @type {import("./pkg/core/coil_ps.js").Stack | null} */
   stack: null,
-  /** Directions asked for in the first run of every planner. @type {Map<string, Direction[]>} */
-  asked: new Map(),
-  lookup: "nearest",
   /** @type {{ observations: import("./pkg/core/coil_ps.js").Observations, solution: import("./pkg/core/coil_ps.js").Solution | null, scale: number } | null} */
   shown: null,
   /** @type {import("./pkg/core/coil_ps.js").Relit | null} */
@@ -80,16 +77,12 @@ const answers = {
 
   async run({ settings }, { signal, progress }) {
     const evaluation = new Evaluation(needed(state.stack, "open an object first"), settings);
-    state.asked = new Map();
-    state.lookup = settings.lookups[0];
     try {
       const total = evaluation.total;
       let rows = 0;
       for (let done = 0; done < total; done += 1) {
         const planner = evaluation.nextPlanner ?? "";
         evaluation.runNext(THUMBNAIL, (step, maes, small) => {
-          const asked = state.asked.get(planner) ?? [];
-          state.asked.set(planner, [...asked, step.requested]);
           const thumbnail = take(small);
           const mae = Object.fromEntries(settings.solvers.map((name, i) => [name, maes[i]]));
           progress({ done, total, step: { name: planner, step, mae, thumbnail }, row: [] }, [thumbnail.data]);
@@ -107,16 +100,16 @@ const answers = {
     }
   },
 
-  view({ planner, solver, step, scale }) {
+  // A run is nothing but the directions it asked for: its pictures can be had again at any step.
+  view({ asked, lookup, solver, scale }) {
     const stack = needed(state.stack, "open an object first");
-    const asked = (state.asked.get(planner) ?? []).slice(0, step);
-    const observations = stack.observe(new Float32Array(asked.flat()), state.lookup);
+    const observations = stack.observe(new Float32Array(asked.flat()), lookup);
     let solution = null;
     try {
-      if (step >= 3) solution = observations.solve(solver);
+      if (asked.length >= 3) solution = observations.solve(solver);
     } catch (error) {
       // The first lights may lie in one plane: there are no normals yet.
-      if (step >= 5) throw error;
+      if (asked.length >= 5) throw error;
     }
     release();
     state.shown = { observations, solution, scale };
@@ -133,7 +126,7 @@ const answers = {
 
   relight({ light }) {
     state.sun = light;
-    return take(needed(state.relit, "there are no normals yet").under(new Float32Array(light)));
+    return optional(state.relit?.under(new Float32Array(light))); // a newer view may have no normals
   },
 
   photo({ index, size }) {
@@ -205,7 +198,6 @@ function forget() {
   release();
   state.stack?.free();
   state.stack = null;
-  state.asked = new Map();
 }
 
 /**

@@ -80,7 +80,7 @@ fn quantile999(images: &[Vec<[f32; 3]>]) -> f32 {
     if values.is_empty() {
         return 0.0;
     }
-    let at = (values.len() - 1) * 999 / 1000;
+    let at = (values.len() - 1) - (values.len() - 1) / 1000; // × 999 would overflow 32 bits
     *values.select_nth_unstable_by(at, f32::total_cmp).1
 }
 

@@ -167,11 +167,15 @@ export function mountDome(root, { page, store, actions }) {
       if (drawn.get(item) !== step.thumbnail) {
         drawn.set(item, step.thumbnail);
         draw(find(item, "canvas", HTMLCanvasElement), step.thumbnail);
-        set(button, { "aria-label": `Light ${i + 1}: ${spoken(step.step.used)}${step.step.name ? `, image ${step.step.name}` : ""}` });
       }
-      set(button, { "aria-current": i + 1 === current ? "step" : null, class: i + 1 > current ? "future" : null });
       const mae = step.mae[store.state.shown.solver];
-      find(item, "span", HTMLElement).textContent = typeof mae === "number" ? `${mae.toFixed(1)}°` : `${i + 1}`;
+      const text = typeof mae === "number" ? `${mae.toFixed(1)}°` : `${i + 1}`;
+      find(item, "span", HTMLElement).textContent = text;
+      set(button, {
+        "aria-label": `${text}, light ${i + 1}: ${spoken(step.step.used)}${step.step.name ? `, image ${step.step.name}` : ""}`,
+        "aria-current": i + 1 === current ? "step" : null,
+        class: i + 1 > current ? "future" : null,
+      });
     });
   }
 }

@@ -108,10 +108,11 @@ function makeActions(page, store) {
   let running = new AbortController();
 
   const refresh = newestOnly(async () => {
-    const { shown: { planner, solver, step }, scale, runs } = store.state;
-    if (!runs.get(planner)?.length) return;
+    const { shown: { planner, solver, step }, scale, runs, ran } = store.state;
+    const asked = (runs.get(planner) ?? []).slice(0, step).map(taken => taken.step.requested);
+    if (!asked.length || !ran) return;
     try {
-      store.update({ view: await engine.call("view", { planner, solver, step, scale }) });
+      store.update({ view: await engine.call("view", { asked, lookup: ran.lookups[0], solver, scale }) });
       relight();
     } catch (error) {
       page.problem("This step can't be shown", error);
@@ -198,7 +199,7 @@ function makeActions(page, store) {
         store.update({ stack });
         // The run that is shown comes first: its normals are what everyone waits for.
         const planners = [planner, ...settings.planners.filter(name => name !== planner)];
-        const report = await engine.call("run", { settings: { ...settings, planners } }, {
+        const made = await engine.call("run", { settings: { ...settings, planners } }, {
           signal,
           onProgress: ({ done, total, step, row }) => {
             if (signal.aborted) return;
@@ -212,6 +213,8 @@ function makeActions(page, store) {
             if (following && now.planner === step.name) actions.show({ step: steps.length });
           },
         });
+        const place = (/** @type {ResultRow} */ row) => settings.planners.indexOf(row.planner);
+        const report = { ...made, settings, results: made.results.toSorted((a, b) => place(a) - place(b)) };
         store.update({ report, rows: report.results });
         page.announce(summary(report));
       } catch (error) {

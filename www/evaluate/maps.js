@@ -85,7 +85,7 @@ export function mountMaps(root, { page, store, actions }) {
   store.watch(["view"], ({ view, runs, shown }) => {
     const step = runs.get(shown.planner)?.[shown.step - 1]?.step;
     image.show(view?.image ?? null, step?.name ?? `light ${shown.step}`);
-    normals.show(view?.normals ?? null, view?.invalid ? `${view.invalid} pixels not solved` : `from ${shown.step} lights`);
+    normals.show(view?.normals ?? null, `from ${shown.step} lights${view?.invalid ? `, ${view.invalid} pixels unsolved` : ""}`);
     const mean = typeof view?.mae === "number" ? `mean ${view.mae.toFixed(2)}°` : "";
     errors.show(view?.errors ?? null, view?.unknown ? `${mean}, ${view.unknown} pixels without truth` : mean);
   });

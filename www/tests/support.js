@@ -86,3 +86,11 @@ export function sharedData(t) {
   t.skip("no shared data: set COIL_DATA");
   return null;
 }
+
+/** The command line, in a build that is there. */
+export function COIL() {
+  const places = [process.env.COIL, join(TARGET, "release/coil"), join(TARGET, "debug/coil")];
+  const found = places.find(place => place && existsSync(place));
+  if (!found) throw new Error("no command line: run cargo build --bin coil, or name it in COIL");
+  return found;
+}
