@@ -2,11 +2,12 @@
 
 import assert from "node:assert/strict";
 import { execFile } from "node:child_process";
-import { cp, mkdtemp, readFile, rm, writeFile } from "node:fs/promises";
+import { cp, mkdtemp, readdir, readFile, rm, writeFile } from "node:fs/promises";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
 import { promisify } from "node:util";
+import { inflateSync } from "node:zlib";
 import { COIL, launch, openPage, servePage, sharedData, tableDone } from "./support.js";
 
 /** @typedef {import("playwright-core").Page} Page */
@@ -68,12 +69,57 @@ function smallObject(page) {
   small ??= (async () => {
     const zip = join(scratch, "small.zip");
     await writeFile(zip, await save(page, "Object (DiLiGenT, .zip)"));
-    const folder = join(scratch, "smallPNG");
     // The command line reads the archive and writes the folder: both ends of the format are in the test.
-    await promisify(execFile)(COIL(), ["export", zip, "--to", "diligent", "--out", folder]);
-    return { zip, folder };
+    const out = join(scratch, "small");
+    await promisify(execFile)(COIL(), ["export", zip, "--to", "diligent", "--out", out]);
+    const list = (await readdir(out, { recursive: true })).find(name => name.endsWith("filenames.txt"));
+    if (!list) throw new Error(`coil export wrote no object into ${out}`);
+    return { zip, folder: join(out, list, "..") };
   })();
   return small;
+}
+
+/**
+ * Values of a 16-bit RGB PNG, for the filters that every encoder may use.
+ * @param {Buffer} png
+ */
+function values16(png) {
+  const [width, height] = [png.readUInt32BE(16), png.readUInt32BE(20)];
+  const data = [];
+  for (let at = 8; at < png.length; at += 12 + png.readUInt32BE(at)) {
+    if (png.toString("latin1", at + 4, at + 8) === "IDAT") data.push(png.subarray(at + 8, at + 8 + png.readUInt32BE(at)));
+  }
+  const raw = inflateSync(Buffer.concat(data));
+  const [stride, back] = [6 * width, 6];
+  const out = Buffer.alloc(stride * height);
+  for (let y = 0; y < height; y += 1) {
+    for (let x = 0; x < stride; x += 1) {
+      const at = y * stride + x;
+      const a = x < back ? 0 : out[at - back];
+      const b = y ? out[at - stride] : 0;
+      const c = x < back || !y ? 0 : out[at - stride - back];
+      const [pa, pb, pc] = [Math.abs(b - c), Math.abs(a - c), Math.abs(a + b - 2 * c)];
+      const predicted = [0, a, b, (a + b) >> 1, pa <= pb && pa <= pc ? a : pb <= pc ? b : c][raw[y * (stride + 1)]];
+      out[at] = raw[y * (stride + 1) + 1 + x] + predicted;
+    }
+  }
+  return Array.from({ length: out.length / 2 }, (_, i) => out.readUInt16BE(2 * i));
+}
+
+/**
+ * Largest angle in degrees between the normals of two 16-bit maps.
+ * @param {Buffer} one
+ * @param {Buffer} other
+ */
+function largestAngle(one, other) {
+  const [a, b] = [one, other].map(values16);
+  assert.equal(a.length, b.length);
+  let largest = 0;
+  for (let i = 0; i < a.length; i += 3) {
+    const d = [0, 1, 2].map(k => (a[i + k] - b[i + k]) / 32767.5);
+    largest = Math.max(largest, 2 * Math.asin(Math.min(1, Math.hypot(...d) / 2)) * 180 / Math.PI);
+  }
+  return largest;
 }
 
 /**
@@ -99,9 +145,11 @@ async function sameAsCommandLine(page, path, options) {
     const lights = (await save(page, "Lights of this run (.lp)")).toString().trim().split("\n").slice(1).map(line => line.split(" ").slice(-3).map(Number));
     const used = directions.find((/** @type {any} */ d) => d.planner === row.planner).used;
     assert.equal(lights.length, used.length);
+    const stem = `${row.planner}-T${row.lights}-${row.lookup}-${row.solver}-normals.png`;
+    const angle = largestAngle(await save(page, "Normals (16-bit PNG)"), await readFile(join(out, row.object, stem)));
+    assert.ok(angle < 0.01, `${row.planner}: normals differ by up to ${angle}°`);
     lights.forEach((light, i) => light.forEach((v, k) => assert.ok(Math.abs(v - used[i][k]) < 1e-5, `${row.planner}, light ${i + 1}: ${light} and ${used[i]}`)));
   }
-  return out;
 }
 
 test("a zip of the small object opens, and gives the same table as the object it was made from", async () => {
@@ -187,7 +235,7 @@ test("a broken dataset is refused with file, line and what would be right; the o
       ["no mask", copy => rm(join(copy, "mask.png")), /mask\.png/],
     ];
     for (const [name, spoil, expected] of faults) {
-      const copy = join(await mkdtemp(join(scratch, "broken-")), "smallPNG");
+      const copy = join(await mkdtemp(join(scratch, "broken-")), "spherePNG");
       await cp(folder, copy, { recursive: true });
       await spoil(copy);
       await page.setInputFiles("#object .folder-input", copy);

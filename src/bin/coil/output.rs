@@ -122,7 +122,7 @@ pub fn write_runs(
         write(&folder.join(format!("{stem}-lights.svg")), plot.svg().as_bytes())?;
         for name in &settings.solvers {
             let solution = solve::by_name(name)?.solve(&Measurements::of(&run.seen))?;
-            let normals = plot::normal_map(subject.mask(), &solution.normals, BitDepth::Eight)?;
+            let normals = plot::normal_map(subject.mask(), &solution.normals, BitDepth::Sixteen)?;
             write(&folder.join(format!("{stem}-{name}-normals.png")), &normals)?;
             if let Some(truth) = subject.truth() {
                 let errors = error::error_map(&solution.normals, truth);
