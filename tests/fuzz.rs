@@ -35,13 +35,12 @@ fn valid(target: &str) -> Vec<Vec<u8>> {
             let array = mat::Array { dims: vec![1, 2], values: vec![0.5, -1.0] };
             vec![truth(&object), mat::write_array("Normal_gt", &array), uncompressed_mat()]
         }
-        "zip" => vec![
-            archive::write_zip(&[
-                ("spherePNG/a.txt".into(), b"some text".to_vec()),
-                ("spherePNG/b.bin".into(), vec![7; 300]),
-            ])
-            .unwrap(),
-        ],
+        "zip" => {
+            let folder = |(name, bytes)| (format!("spherePNG/{name}"), bytes);
+            let object: Vec<_> = object.into_iter().map(folder).collect();
+            let plain = [("a.txt".into(), b"some text".to_vec()), ("b/c.bin".into(), vec![7; 300])];
+            vec![archive::write_zip(&plain).unwrap(), archive::write_zip(&object).unwrap()]
+        }
         "lp" => {
             let lights = stack.names.iter().map(String::as_str).zip(stack.lights.iter().copied());
             vec![lp::write_lp(lights).into_bytes(), b"1\r\na b\t0 0.6 0.8\r\n".to_vec()]
@@ -168,8 +167,9 @@ fn valid_files_are_accepted() {
     }
 }
 
+// 256 cases each; PROPTEST_CASES asks for more.
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 256, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn changed_files_are_parsed_or_refused(seed in any::<usize>(), changes in prop::collection::vec(change(), 1..6)) {

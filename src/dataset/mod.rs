@@ -1,4 +1,4 @@
-//! Datasets on disk, in an archive or in a browser: names and bytes in, a [`RawStack`] out.
+//! Datasets on disk, in an archive or in a browser: names and bytes in, a [`RawStack`](crate::stack::RawStack) out.
 //!
 //! Nothing here touches a file system. [`Files`] is what the readers ask; the command line implements
 //! it for folders, the page fills a [`Memory`].

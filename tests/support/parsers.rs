@@ -2,7 +2,9 @@
 //! what it accepts is valid. The fuzz targets (`fuzz/`) and the property tests (`tests/fuzz.rs`) run the same bodies.
 #![allow(dead_code)] // each fuzz target uses one
 
-use coil_ps::dataset::{Files, Limits, Memory, Zip, check_name, lp, mat, read_object, write_object};
+use coil_ps::dataset::{
+    Files, Limits, Memory, Zip, check_name, find_objects, lp, mat, read_object, write_object,
+};
 use coil_ps::image::{decode_png, encode_rgb};
 use coil_ps::light::fibonacci_cap;
 use coil_ps::stack::{BitDepth, Mask, RawStack};
@@ -90,6 +92,11 @@ pub fn zip(bytes: &[u8]) -> bool {
         check_name("fuzz", name).unwrap();
         if let Ok(file) = zip.read(name) {
             assert!(file.len() as u64 <= limits.file_bytes);
+        }
+    }
+    for dir in find_objects(&zip).iter().take(3) {
+        if let Ok((stack, _)) = read_object(&zip, dir, &limits) {
+            assert_valid(&stack);
         }
     }
     true
