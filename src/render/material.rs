@@ -116,7 +116,7 @@ impl<R: Real> Directions<R> {
     /// Of unit vectors towards the light and towards the viewer.
     #[must_use]
     pub fn new(light: V3<R>, view: Vec3) -> Self {
-        let sum = light.add(view);
+        let sum = light.plus(view);
         let length = sum.length().max(R::of(1e-6));
         let half = V3 { x: sum.x / length, y: sum.y / length, z: sum.z / length };
         let cos_d = half.dot(view).clamp(1e-4, 1.0);
@@ -207,7 +207,7 @@ impl<R: Real> Lit<R> {
             Lobe::None => return diffuse,
             Lobe::Abc(colour, b, minus_c) => {
                 // 1 − cosθ_h as |h − n|²/2: the lobes are so narrow that the difference would lose them.
-                let one_minus_cos = d.half.add(-normal).length_squared() * 0.5;
+                let one_minus_cos = d.half.plus(-normal).length_squared() * 0.5;
                 let cos_h = (-one_minus_cos + 1.0).max(R::of(0.0));
                 let distribution = (one_minus_cos * b + 1.0).powf(minus_c);
                 let twice = cos_h * 2.0 / d.cos_d;

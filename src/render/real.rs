@@ -245,7 +245,7 @@ impl<R: Real> V3<R> {
     }
     /// Sum with a constant.
     #[inline]
-    pub fn add(self, v: Vec3) -> Self {
+    pub fn plus(self, v: Vec3) -> Self {
         Self { x: self.x + v.x, y: self.y + v.y, z: self.z + v.z }
     }
     /// The product of the matrix whose rows are `rows` with this vector.

@@ -330,7 +330,7 @@ impl Sculpture {
         }
         let mut f = R::of(10.0);
         for part in &self.parts {
-            let d = part.form.at(q.add(-part.center).turned(&part.axes));
+            let d = part.form.at(q.plus(-part.center).turned(&part.axes));
             f = match part.join {
                 Join::Add => smooth_min(f, d, part.blend),
                 Join::Cut => -smooth_min(-f, d, part.blend),

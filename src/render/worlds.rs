@@ -149,7 +149,7 @@ fn finish(split: Split, rng: &mut Rng) -> Finish {
 #[must_use]
 pub fn test_object(number: usize) -> Object {
     let rng = &mut Rng::stream(TEST_SEED, number as u64);
-    let family = if number % 2 == 0 {
+    let family = if number.is_multiple_of(2) {
         TEST_FAMILIES[number / 2 % TEST_FAMILIES.len()]
     } else {
         TRAIN_FAMILIES[number / 2 % TRAIN_FAMILIES.len()]

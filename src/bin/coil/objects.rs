@@ -180,7 +180,7 @@ fn read_mesh(path: &Path) -> anyhow::Result<Shape> {
     let Some(name) = path.file_name().and_then(|n| n.to_str()) else {
         bail!("{}: the file name is not UTF-8", path.display());
     };
-    Ok(Shape::Mesh(Mesh::from_bytes(name, &bytes).with_context(|| path.display().to_string())?.into()))
+    Ok(Shape::Mesh(Mesh::from_bytes(name, &bytes).with_context(|| path.display().to_string())?))
 }
 
 #[cfg(test)]
