@@ -59,6 +59,9 @@ pub mod render;
 
 pub mod error;
 pub mod solve;
+#[cfg(feature = "render")]
+pub mod pixels;
+pub mod surface;
 
 pub mod planner;
 pub mod session;

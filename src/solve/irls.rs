@@ -35,9 +35,9 @@ impl Irls {
     #[must_use]
     pub fn new(loss: Loss) -> Self {
         let scale = match loss {
-            Loss::L1 => 1e-3,
-            Loss::Huber => 0.01,
-            Loss::Cauchy => 0.03,
+            Loss::L1 => 0.01,
+            Loss::Huber => 0.05,
+            Loss::Cauchy => 0.05,
         };
         Self { loss, scale, iterations: 12, thresholds: Thresholds::default() }
     }

@@ -3,8 +3,10 @@
 pub mod irls;
 mod lanes;
 pub mod least_squares;
+pub mod pixel;
 mod robust;
 pub mod sparse_bayes;
+pub mod tiles;
 pub mod trimmed;
 pub mod uncertainty;
 
@@ -13,6 +15,7 @@ use glam::Vec3;
 
 pub use irls::{Irls, Loss};
 pub use least_squares::LeastSquares;
+pub use pixel::PixelNetwork;
 pub use robust::Thresholds;
 pub use sparse_bayes::SparseBayes;
 pub use trimmed::Trimmed;
@@ -37,6 +40,16 @@ impl<'a> Measurements<'a> {
             images: seen.iter().map(|o| o.grey.as_slice()).collect(),
             saturation: None,
         }
+    }
+
+    /// The measurements of pixels `first..end` alone: a tile.
+    ///
+    /// # Panics
+    /// Where an image has less than `end` pixels.
+    #[must_use]
+    pub fn range(&self, first: usize, end: usize) -> Self {
+        let images = self.images.iter().map(|i| &i[first..end]).collect();
+        Self { lights: self.lights.clone(), images, saturation: self.saturation }
     }
 
     /// Number of pixels.
@@ -135,6 +148,7 @@ pub const SOLVERS: &[(&str, &str)] = &[
     ("huber", "Huber's loss, iteratively reweighted"),
     ("cauchy", "Cauchy's loss, iteratively reweighted"),
     ("sbr", "sparse Bayesian regression (Ikehata et al. 2012)"),
+    ("pixel", "learned: a set network over each pixel's observations, trained on synthetic pixels"),
 ];
 
 /// Why there is no such solver.
@@ -159,6 +173,7 @@ pub fn by_name(name: &str) -> Result<Box<dyn Solver>, UnknownSolver> {
         "huber" => Ok(Box::new(Irls::new(Loss::Huber))),
         "cauchy" => Ok(Box::new(Irls::new(Loss::Cauchy))),
         "sbr" => Ok(Box::new(SparseBayes::default())),
+        "pixel" => Ok(Box::new(PixelNetwork::shipped())),
         _ => Err(UnknownSolver {
             name: name.into(),
             known: SOLVERS.iter().map(|s| s.0).collect::<Vec<_>>().join(", "),

@@ -23,7 +23,7 @@ pub struct SparseBayes {
 
 impl Default for SparseBayes {
     fn default() -> Self {
-        Self { noise: 0.01, iterations: 30, thresholds: Thresholds::default() }
+        Self { noise: 0.03, iterations: 40, thresholds: Thresholds::default() }
     }
 }
 

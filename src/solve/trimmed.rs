@@ -19,7 +19,7 @@ pub struct Trimmed {
 
 impl Default for Trimmed {
     fn default() -> Self {
-        Self { dark: 0.3, bright: 0.2, thresholds: Thresholds { shadow: 0.0, ..Thresholds::default() } }
+        Self { dark: 0.1, bright: 0.1, thresholds: Thresholds::default() }
     }
 }
 

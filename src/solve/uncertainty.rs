@@ -47,17 +47,17 @@ pub struct Calibration {
 
 impl Calibration {
     /// Of least squares.
-    pub const LEAST_SQUARES: Self = Self { factor: 40.0, exponent: 0.5 };
+    pub const LEAST_SQUARES: Self = Self { factor: 52.8, exponent: 0.572 };
     /// Of trimmed least squares.
-    pub const TRIMMED: Self = Self { factor: 40.0, exponent: 0.5 };
+    pub const TRIMMED: Self = Self { factor: 49.9, exponent: 0.649 };
     /// Of L1.
-    pub const L1: Self = Self { factor: 40.0, exponent: 0.5 };
+    pub const L1: Self = Self { factor: 50.3, exponent: 0.582 };
     /// Of Huber's loss.
-    pub const HUBER: Self = Self { factor: 40.0, exponent: 0.5 };
+    pub const HUBER: Self = Self { factor: 51.3, exponent: 0.592 };
     /// Of Cauchy's loss.
-    pub const CAUCHY: Self = Self { factor: 40.0, exponent: 0.5 };
+    pub const CAUCHY: Self = Self { factor: 51.6, exponent: 0.597 };
     /// Of sparse Bayesian regression.
-    pub const SPARSE_BAYES: Self = Self { factor: 40.0, exponent: 0.5 };
+    pub const SPARSE_BAYES: Self = Self { factor: 46.8, exponent: 0.574 };
 
     /// Expected angular error in degrees, at most 90.
     #[must_use]

@@ -7,7 +7,12 @@ mod info;
 mod objects;
 mod output;
 mod serve;
+mod solve;
 mod study;
+#[cfg(feature = "render")]
+mod train_solver;
+#[cfg(feature = "render")]
+mod tune;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -26,6 +31,14 @@ enum Command {
     Eval(eval::EvalArgs),
     /// Studies that need the ground truth: study k.
     Study(study::StudyArgs),
+    /// Solve objects and write normals, expected errors and surfaces.
+    Solve(solve::Args),
+    /// Train the pixel network.
+    #[cfg(feature = "render")]
+    TrainSolver(train_solver::Args),
+    /// Tune the solvers without training on synthetic pixels.
+    #[cfg(feature = "render")]
+    Tune(tune::Args),
     /// Tell what datasets are and what is wrong with them.
     Info(info::Args),
     /// Write lights, normals or whole objects in another format.
@@ -38,6 +51,11 @@ fn main() -> ExitCode {
     let result: anyhow::Result<ExitCode> = match Cli::parse().command {
         Command::Eval(args) => eval::run(args),
         Command::Study(args) => study::run(args),
+        Command::Solve(args) => solve::run(args),
+        #[cfg(feature = "render")]
+        Command::TrainSolver(args) => train_solver::run(args),
+        #[cfg(feature = "render")]
+        Command::Tune(args) => tune::run(args),
         Command::Info(args) => info::run(args),
         Command::Export(args) => export::run(args),
         Command::Serve(args) => serve::run(args),

@@ -135,7 +135,7 @@ pub fn write_runs(
 }
 
 /// `name` as a file name: what is not a letter, digit, dot, dash or underscore becomes a dash.
-fn safe(name: &str) -> String {
+pub fn safe(name: &str) -> String {
     let clean: String =
         name.chars().map(|c| if c.is_alphanumeric() || "._-".contains(c) { c } else { '-' }).collect();
     if clean.trim_matches('.').is_empty() { "object".into() } else { clean }

@@ -1,0 +1,147 @@
+//! `coil solve`: normals, expected error and surface of objects, as files.
+
+use crate::objects::Selection;
+use crate::output;
+use anyhow::Context;
+use coil_ps::error::{self, ErrorMap};
+use coil_ps::eval::plot;
+use coil_ps::eval::table::{self, ALL_LIGHTS};
+use coil_ps::eval::{Protocol, RunSpec, Subject};
+use coil_ps::relight::Lookup;
+use coil_ps::solve::uncertainty::{self, StopAt};
+use coil_ps::solve::{self, Measurements, Solution};
+use coil_ps::stack::BitDepth;
+use coil_ps::surface::export::Format;
+use coil_ps::surface::{Integration, Surface, integrate};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Instant;
+
+/// Solve objects and write normal maps, expected errors and surfaces.
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    selection: Selection,
+    /// Solver.
+    #[arg(long, default_value = "pixel")]
+    solver: String,
+    /// Planner that chooses the lights; `all` takes every light of the stack.
+    #[arg(long, default_value = ALL_LIGHTS)]
+    planner: String,
+    /// Number of lights that the planner chooses.
+    #[arg(long, default_value_t = 10)]
+    lights: usize,
+    /// Take no more lights once the predicted mean error is at most this: 8deg.
+    #[arg(long, value_name = "DEGREES")]
+    stop_at: Option<StopAt>,
+    /// From code values to linear values: official or 128.
+    #[arg(long, default_value = "official")]
+    protocol: Protocol,
+    /// Seed of the planner.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Folder to write to; nothing is written without it.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Integrate the normals and write the surface in these formats: ply, obj, glb.
+    #[arg(long, value_delimiter = ',', value_name = "FORMATS", requires = "out")]
+    depth: Vec<Format>,
+    /// Leave the surface open where it breaks by more than this many pixels.
+    #[arg(long, default_value_t = 8.0)]
+    cliff: f32,
+}
+
+/// Largest expected error on the colour scale, degrees.
+const SCALE: f32 = 45.0;
+
+pub fn run(args: Args) -> anyhow::Result<ExitCode> {
+    let solver = solve::by_name(&args.solver)?;
+    let mut failed = false;
+    args.selection.for_each(args.protocol, |name, object| {
+        let object = match object {
+            Ok(object) => object,
+            Err(error) => {
+                eprintln!("{name}: {error:#}");
+                failed = true;
+                return Ok(());
+            }
+        };
+        let reach = args.selection.reach.to_radians();
+        object
+            .with_subject(reach, |subject| one(subject, solver.as_ref(), &args))
+            .with_context(|| name.to_owned())
+    })?;
+    Ok(ExitCode::from(u8::from(failed)))
+}
+
+fn one(subject: &Subject, solver: &dyn solve::Solver, args: &Args) -> anyhow::Result<()> {
+    let lookup = Lookup::Nearest;
+    let spec =
+        RunSpec { planner: args.planner.clone(), lights: args.lights, lookup, draw: 0, seed: args.seed };
+    let seen = table::run(subject, &spec, &[])?.seen;
+    // Planners look back only, so stopping early and cutting the whole run short are the same.
+    let counts = if args.stop_at.is_some() { 3..=seen.len() } else { seen.len()..=seen.len() };
+    let mut result = None;
+    for count in counts {
+        let measurements = Measurements::of(&seen[..count]);
+        let begun = Instant::now();
+        let mut solution = solver.solve(&measurements)?;
+        let seconds = begun.elapsed().as_secs_f64();
+        uncertainty::complete(&measurements, &mut solution)?;
+        let enough = args.stop_at.is_some_and(|s| s.met(&solution, count));
+        result = Some((count, seconds, solution));
+        if enough {
+            break;
+        }
+    }
+    let (count, seconds, solution) = result.context("no picture was taken")?;
+    let truth = subject.truth().map(|t| error::error_map(&solution.normals, t));
+    println!(
+        "{}: {} pixels, {count} lights, {}: expected {:.2}°{}, {:.1} % valid, {:.0} ms",
+        subject.name(),
+        solution.normals.len(),
+        solver.name(),
+        uncertainty::predicted_mae(&solution).unwrap_or(f32::NAN),
+        truth.as_ref().map_or(String::new(), |t| {
+            let expected = solution.uncertainty.as_deref().unwrap_or_default();
+            let rank = coil_ps::pixels::tune::rank_correlation(expected, &t.degrees);
+            format!(", true {:.2}° (rank correlation {rank:.2})", t.mae)
+        }),
+        100.0 * uncertainty::coverage(&solution),
+        1e3 * seconds,
+    );
+    match &args.out {
+        Some(dir) => write(subject, &solution, truth.as_ref(), &dir.join(output::safe(subject.name())), args),
+        None => Ok(()),
+    }
+}
+
+fn write(
+    subject: &Subject,
+    solution: &Solution,
+    truth: Option<&ErrorMap>,
+    dir: &Path,
+    args: &Args,
+) -> anyhow::Result<()> {
+    let mask = subject.mask();
+    output::write(&dir.join("normals.png"), &plot::normal_map(mask, &solution.normals, BitDepth::Sixteen)?)?;
+    if let Some(degrees) = solution.uncertainty.clone() {
+        let mae = f64::from(uncertainty::predicted_mae(solution).unwrap_or(0.0));
+        let expected = ErrorMap { degrees, mae, unknown: 0 };
+        output::write(&dir.join("expected-error.png"), &plot::error_map(mask, &expected, SCALE)?)?;
+    }
+    if let Some(errors) = truth {
+        output::write(&dir.join("error.png"), &plot::error_map(mask, errors, SCALE)?)?;
+    }
+    if args.depth.is_empty() {
+        return Ok(());
+    }
+    let begun = Instant::now();
+    let depth = integrate(mask, &solution.normals, &Integration::default(), || false)?;
+    println!("  surface: {} rounds, {:.1} s", depth.rounds, begun.elapsed().as_secs_f64());
+    let surface = Surface::new(mask, &depth.heights, &solution.normals, &solution.albedo, args.cliff);
+    for format in &args.depth {
+        output::write(&dir.join(format!("surface.{}", format.extension())), &surface.write(*format))?;
+    }
+    Ok(())
+}
