@@ -22,23 +22,14 @@ pub fn read_lp(bytes: &[u8], file: &str) -> Result<Vec<(String, Vec3)>, DatasetE
     let mut lights = Vec::new();
     for (line, text) in lines {
         // The name may have spaces: the vector is the last three fields.
-        let mut fields = text.rsplitn(4, [' ', '\t']).collect::<Vec<_>>();
-        let (name, rest) = match fields.pop() {
-            Some(name) if fields.len() == 3 => (name.trim(), [fields[2], fields[1], fields[0]].join(" ")),
-            _ => {
-                let found = text.split_whitespace().count();
-                return Err(DatasetError::Columns {
-                    file: file.into(),
-                    line,
-                    found,
-                    expected: "a name and 3",
-                });
-            }
+        let Some((name, vector)) = last_fields(text) else {
+            let found = text.split_whitespace().count();
+            return Err(DatasetError::Columns { file: file.into(), line, found, expected: "a name and 3" });
         };
         // Folders of the machine that wrote the file mean nothing here.
         let name = name.rsplit(['/', '\\']).next().unwrap_or(name);
         check_name(&format!("{file}:{line}"), name)?;
-        let v: DVec3 = text::row(file, line, &rest)?.vector(file, line)?;
+        let v: DVec3 = text::row(file, line, vector)?.vector(file, line)?;
         lights.push((name.to_string(), text::light_direction(v, file, line)?));
     }
     if lights.len() != expected {
@@ -51,6 +42,16 @@ pub fn read_lp(bytes: &[u8], file: &str) -> Result<Vec<(String, Vec3)>, DatasetE
         });
     }
     Ok(lights)
+}
+
+/// Splits a line before the last three of its fields; both parts are not empty.
+fn last_fields(line: &str) -> Option<(&str, &str)> {
+    let mut name = line;
+    for _ in 0..3 {
+        name = name.trim_end().rsplit_once(char::is_whitespace)?.0;
+    }
+    let vector = &line[name.len()..];
+    Some((name.trim(), vector)).filter(|(name, _)| !name.is_empty())
 }
 
 /// The text of a `.lp` file.
@@ -77,7 +78,7 @@ mod tests {
 
     #[test]
     fn files_of_other_programs_are_read() {
-        let text = "2\r\nC:\\rti\\img_01.jpg\t0.0\t0.6\t0.8\r\n/home/x/b c.jpg   0 0 1\r\n\r\n";
+        let text = "2\r\nC:\\rti\\img_01.jpg\t0.0\t0.6\t0.8\r\n/home/x/b c.jpg   0  0\t 1\r\n\r\n";
         let read = read_lp(text.as_bytes(), "a.lp").unwrap();
         assert_eq!(read, [("img_01.jpg".into(), Vec3::new(0.0, 0.6, 0.8)), ("b c.jpg".into(), Vec3::Z)]);
     }

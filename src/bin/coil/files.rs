@@ -49,7 +49,6 @@ pub fn open(path: &Path, limits: &Limits) -> anyhow::Result<Source> {
 ///
 /// # Errors
 /// [`DatasetError`] for the first thing that is wrong.
-#[allow(dead_code)] // for the subcommands that need no more
 pub fn read_object(
     files: &dyn Files,
     dir: &str,
