@@ -339,7 +339,7 @@ impl Folder<'_> {
             let in_folder = self.files.names().iter().filter_map(|n| n.strip_prefix(prefix));
             let names: Vec<String> = in_folder
                 .filter(|n| !n.contains('/') && !n.starts_with('.') && *n != MASK && *n != TRUTH_PNG)
-                .filter(|n| n.len() > 4 && n[n.len() - 4..].eq_ignore_ascii_case(".png"))
+                .filter(|n| n.rsplit_once('.').is_some_and(|(_, end)| end.eq_ignore_ascii_case("png")))
                 .map(Into::into)
                 .collect();
             warnings.push(Warning::NoFileList { images: names.len() });

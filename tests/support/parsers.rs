@@ -9,6 +9,7 @@ use coil_ps::image::{decode_png, encode_rgb};
 use coil_ps::light::fibonacci_cap;
 use coil_ps::stack::{BitDepth, Mask, RawStack};
 use glam::Vec3;
+use std::sync::OnceLock;
 
 /// A body with the name of its fuzz target. It returns whether the bytes were accepted.
 pub type Body = (&'static str, fn(&[u8]) -> bool);
@@ -113,7 +114,8 @@ pub fn lp(bytes: &[u8]) -> bool {
 /// The first byte names the file of a valid object that is replaced by the rest.
 pub fn object(bytes: &[u8]) -> bool {
     let Some((&which, content)) = bytes.split_first() else { return false };
-    let mut object = write_object(&sphere(9, 7, 4, BitDepth::Eight)).unwrap();
+    static OBJECT: OnceLock<Vec<(String, Vec<u8>)>> = OnceLock::new();
+    let mut object = OBJECT.get_or_init(|| write_object(&sphere(9, 7, 4, BitDepth::Eight)).unwrap()).clone();
     object.push(("normal.txt".into(), Vec::new()));
     let which = usize::from(which) % object.len();
     if object[which].0 == "normal.txt" {
