@@ -173,7 +173,7 @@ fn what_can_be_done_without_is_a_warning() {
     assert_same(&stack, &fixture());
     assert_eq!(warnings, [Warning::NoFileList { images: 4 }]);
     let mut files = changed("filenames.txt", None);
-    files.insert("spherePNG/größe", vec![]).unwrap(); // found by fuzzing: no character begins four bytes from its end
+    files.insert("spherePNG/aöabc", vec![]).unwrap(); // found by fuzzing: four bytes from its end is inside a character
     assert_same(&read(&files).unwrap().0, &fixture());
     let (stack, warnings) = read(&changed("light_intensities.txt", None)).unwrap();
     assert_eq!((stack.intensities[3], warnings), ([1.0; 3], vec![Warning::NoIntensities]));

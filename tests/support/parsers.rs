@@ -7,6 +7,7 @@ use coil_ps::dataset::{
 };
 use coil_ps::image::{decode_png, encode_rgb};
 use coil_ps::light::fibonacci_cap;
+use coil_ps::solve::pixel::onnx;
 use coil_ps::stack::{BitDepth, Mask, RawStack};
 use glam::Vec3;
 use std::sync::OnceLock;
@@ -21,6 +22,7 @@ pub const BODIES: &[Body] = &[
     ("zip", zip),
     ("lp", lp),
     ("object", object),
+    ("model", model),
     #[cfg(feature = "render")]
     ("mesh", mesh),
 ];
@@ -134,6 +136,16 @@ pub fn object(bytes: &[u8]) -> bool {
         assert_valid(stack);
     }
     read.is_ok()
+}
+
+/// A solver's network as an ONNX file.
+pub fn model(bytes: &[u8]) -> bool {
+    let Ok(model) = onnx::read(bytes) else { return false };
+    assert!(model.network.weights().iter().all(|w| w.is_finite()));
+    let again = onnx::read(&onnx::write(&model.network, &model.metadata)).unwrap();
+    assert_eq!(again.network.weights(), model.network.weights());
+    assert_eq!(again.metadata, model.metadata);
+    true
 }
 
 /// The first byte names the format of the rest.
