@@ -13,6 +13,7 @@ pub mod mesh;
 pub mod real;
 pub mod scene;
 pub mod sculpture;
+pub mod sensor;
 pub mod trace;
 pub mod view;
 pub mod worlds;
@@ -24,6 +25,7 @@ pub use material::{Abc, Ggx, Material};
 pub use mesh::Mesh;
 pub use scene::{Buffers, Options, Scene, SceneCamera};
 pub use sculpture::Sculpture;
+pub use sensor::{Sensor, stack};
 pub use trace::Tracer;
 pub use view::{Pose, Shape, View};
 

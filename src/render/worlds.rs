@@ -173,6 +173,41 @@ pub fn validation(seed: u64, number: usize) -> Object {
     Object::grown(number, family, Split::Validation, rng)
 }
 
+/// The objects of a name:
+/// - `worlds-v1` or one of them, `worlds-v1:17`;
+/// - `training:SEED:COUNT`, `validation:SEED:COUNT`;
+/// - a sculpture seen from the front, as `blob:7`, in [`MATERIAL`] or another material, as `blob:7@brass`.
+///
+/// # Errors
+/// [`RenderError::Sculpture`] or [`RenderError::Material`] for a name that is none of these.
+pub fn objects(name: &str) -> Result<Vec<Object>, RenderError> {
+    let parts: Vec<&str> = name.split(':').collect();
+    let number = |text: &str| text.parse::<usize>().ok();
+    match parts[..] {
+        [NAME] => return Ok((0..TEST_OBJECTS).map(test_object).collect()),
+        [NAME, i] => {
+            if let Some(i) = number(i).filter(|&i| i < TEST_OBJECTS) {
+                return Ok(vec![test_object(i)]);
+            }
+        }
+        [family @ ("training" | "validation"), seed, count] => {
+            if let (Ok(seed), Some(count)) = (seed.parse(), number(count).filter(|&n| n <= 1_000_000)) {
+                let make = if family == "training" { training } else { validation };
+                return Ok((0..count).map(|i| make(seed, i)).collect());
+            }
+        }
+        _ => {}
+    }
+    let (sculpture, material) = name.split_once('@').unwrap_or((name, MATERIAL));
+    let material: Material = material.parse()?;
+    let shape = Shape::Sculpture(Sculpture::named(sculpture)?);
+    let rotation = shape.front();
+    Ok(vec![Object { name: name.replace([':', '@'], "-"), shape, rotation, finish: material.into() }])
+}
+
+/// Material of a sculpture that is named without one.
+pub const MATERIAL: &str = "specular-maroon-phenolic";
+
 /// A number that stands for what the test objects look like: FNV-1a over masks, normals and three pictures of each at
 /// 32 × 32 pixels, in 8-bit steps. Whoever reports on `worlds-v1` checks it against [`CHECKSUM`].
 ///
@@ -235,6 +270,19 @@ mod tests {
                 let new_family = TEST_FAMILIES.contains(&name(&o).split_once(':').unwrap().0);
                 assert_eq!(new_family, split == Split::Test && i % 2 == 0);
             }
+        }
+    }
+
+    #[test]
+    fn objects_are_found_by_name() {
+        assert_eq!(objects("worlds-v1").unwrap().len(), TEST_OBJECTS);
+        assert_eq!(objects("worlds-v1:17").unwrap()[0].rotation, test_object(17).rotation);
+        assert_eq!(objects("training:3:5").unwrap()[4].finish, training(3, 4).finish);
+        assert_eq!(objects("blob:7@brass").unwrap()[0].finish.material.name(), "brass");
+        for bad in
+            ["worlds-v1:100", "worlds-v2", "training:1", "blob:7@brick", "blob", "", "training:1:99999999"]
+        {
+            assert!(objects(bad).is_err(), "{bad}");
         }
     }
 

@@ -6,6 +6,8 @@ mod files;
 mod info;
 mod objects;
 mod output;
+#[cfg(feature = "render")]
+mod render;
 mod serve;
 mod solve;
 mod study;
@@ -43,6 +45,9 @@ enum Command {
     Info(info::Args),
     /// Write lights, normals or whole objects in another format.
     Export(export::Args),
+    /// Render synthetic objects under many lights.
+    #[cfg(feature = "render")]
+    Render(render::Args),
     /// Build what is stale of the page and serve it on this machine.
     Serve(serve::ServeArgs),
 }
@@ -58,6 +63,8 @@ fn main() -> ExitCode {
         Command::Tune(args) => tune::run(args),
         Command::Info(args) => info::run(args),
         Command::Export(args) => export::run(args),
+        #[cfg(feature = "render")]
+        Command::Render(args) => render::run(args),
         Command::Serve(args) => serve::run(args),
     };
     result.unwrap_or_else(|error| {
