@@ -44,6 +44,14 @@ pub enum RenderError {
     /// No such material.
     #[error(transparent)]
     Material(#[from] material::MaterialError),
+    /// A set of objects without the numbers, or with wrong ones.
+    #[error("'{name}': write a number or a range of 0..={last}, as {name}:3 or {name}:0..9", name = name.split(':').next().unwrap_or_default())]
+    Numbers {
+        /// What was asked for.
+        name: String,
+        /// The last number there is.
+        last: usize,
+    },
     /// An image side of 0 or too many pixels.
     #[error("image size {0}: it must lie in 1..={MAX_SIZE} pixels")]
     Size(u32),

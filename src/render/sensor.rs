@@ -110,7 +110,7 @@ mod tests {
 
     #[test]
     fn codes_mean_what_was_rendered() {
-        let scene = worlds::objects("blob:7@red-plastic").unwrap()[0]
+        let scene = worlds::objects("blob:7+red-plastic").unwrap()[0]
             .scene(&Options { size: 32, ..Options::default() })
             .unwrap();
         let lights = fibonacci_cap(5, 0.8);

@@ -266,9 +266,20 @@ mod tests {
     #[test]
     fn horizon_maps_agree_with_rays() {
         // Share of lit-or-shadowed decisions that differ. What remains is light below overhangs and half-pixel borders.
-        for (name, limit) in
-            [("bowl", 0.005), ("blob:3", 0.02), ("relief:2", 0.02), ("drape:1", 0.02), ("figure:0", 0.03)]
-        {
+        let limits = [
+            ("bowl", 0.008),
+            ("blob:3", 0.01),
+            ("relief:2", 0.01),
+            ("drape:1", 0.01),
+            ("vase:1", 0.03),
+            ("coral:0", 0.06),
+            ("totem:0", 0.03),
+            ("figure:0", 0.03),
+            ("knot:0", 0.06),
+            ("lattice:0", 0.03),
+            ("stone:0", 0.01),
+        ];
+        for (name, limit) in limits {
             let shape = named(name).unwrap();
             let pose = Pose::fit(&shape, shape.front()).unwrap();
             let view = View::new(&shape, &pose, 96).unwrap();

@@ -174,36 +174,43 @@ pub fn validation(seed: u64, number: usize) -> Object {
 }
 
 /// The objects of a name:
-/// - `worlds-v1` or one of them, `worlds-v1:17`;
-/// - `training:SEED:COUNT`, `validation:SEED:COUNT`;
-/// - a sculpture seen from the front, as `blob:7`, in [`MATERIAL`] or another material, as `blob:7@brass`.
+/// - `worlds-v1`, or some of its hundred: `worlds-v1:17`, `worlds-v1:0..9` (both ends included);
+/// - training and validation objects of seed 1: `worlds-train:0..999`, `worlds-validate:0..49`;
+/// - a sculpture seen from the front, as `blob:7`, in [`MATERIAL`] or another material, as `blob:7+brass`.
 ///
 /// # Errors
-/// [`RenderError::Sculpture`] or [`RenderError::Material`] for a name that is none of these.
+/// [`RenderError::Numbers`] for a range that can't be read; [`RenderError::Sculpture`] or [`RenderError::Material`] for
+/// a name that is none of these.
 pub fn objects(name: &str) -> Result<Vec<Object>, RenderError> {
-    let parts: Vec<&str> = name.split(':').collect();
-    let number = |text: &str| text.parse::<usize>().ok();
-    match parts[..] {
-        [NAME] => return Ok((0..TEST_OBJECTS).map(test_object).collect()),
-        [NAME, i] => {
-            if let Some(i) = number(i).filter(|&i| i < TEST_OBJECTS) {
-                return Ok(vec![test_object(i)]);
-            }
+    let (set, numbers) = name.split_once(':').unwrap_or((name, ""));
+    let (make, all): (fn(usize) -> Object, usize) = match set {
+        NAME => (test_object, TEST_OBJECTS),
+        "worlds-train" => (|i| training(1, i), DRAWN),
+        "worlds-validate" => (|i| validation(1, i), DRAWN),
+        _ => {
+            let (sculpture, material) = name.split_once('+').unwrap_or((name, MATERIAL));
+            let material: Material = material.parse()?;
+            let shape = Shape::Sculpture(Sculpture::named(sculpture)?);
+            let rotation = shape.front();
+            let name = name.replace([':', '+'], "-");
+            return Ok(vec![Object { name, shape, rotation, finish: material.into() }]);
         }
-        [family @ ("training" | "validation"), seed, count] => {
-            if let (Ok(seed), Some(count)) = (seed.parse(), number(count).filter(|&n| n <= 1_000_000)) {
-                let make = if family == "training" { training } else { validation };
-                return Ok((0..count).map(|i| make(seed, i)).collect());
-            }
-        }
-        _ => {}
+    };
+    let wrong = || RenderError::Numbers { name: name.into(), last: all - 1 };
+    let number = |text: &str| text.parse::<usize>().ok().filter(|&i| i < all).ok_or_else(wrong);
+    let (first, last) = match numbers.split_once("..") {
+        Some((first, last)) => (number(first)?, number(last)?),
+        None if name == NAME => (0, all - 1),
+        None => (number(numbers)?, number(numbers)?),
+    };
+    if first > last {
+        return Err(wrong());
     }
-    let (sculpture, material) = name.split_once('@').unwrap_or((name, MATERIAL));
-    let material: Material = material.parse()?;
-    let shape = Shape::Sculpture(Sculpture::named(sculpture)?);
-    let rotation = shape.front();
-    Ok(vec![Object { name: name.replace([':', '@'], "-"), shape, rotation, finish: material.into() }])
+    Ok((first..=last).map(make).collect())
 }
+
+/// So many objects of the endless sequences can be named.
+const DRAWN: usize = 1_000_000;
 
 /// Material of a sculpture that is named without one.
 pub const MATERIAL: &str = "specular-maroon-phenolic";
@@ -277,11 +284,18 @@ mod tests {
     fn objects_are_found_by_name() {
         assert_eq!(objects("worlds-v1").unwrap().len(), TEST_OBJECTS);
         assert_eq!(objects("worlds-v1:17").unwrap()[0].rotation, test_object(17).rotation);
-        assert_eq!(objects("training:3:5").unwrap()[4].finish, training(3, 4).finish);
-        assert_eq!(objects("blob:7@brass").unwrap()[0].finish.material.name(), "brass");
-        for bad in
-            ["worlds-v1:100", "worlds-v2", "training:1", "blob:7@brick", "blob", "", "training:1:99999999"]
-        {
+        assert_eq!(objects("worlds-train:3..5").unwrap()[2].finish, training(1, 5).finish);
+        assert_eq!(objects("blob:7+brass").unwrap()[0].finish.material.name(), "brass");
+        for bad in [
+            "worlds-v1:100",
+            "worlds-v1:9..3",
+            "worlds-v2",
+            "worlds-train",
+            "worlds-train:x",
+            "blob:7+brick",
+            "blob",
+            "",
+        ] {
             assert!(objects(bad).is_err(), "{bad}");
         }
     }

@@ -4,10 +4,12 @@ use crate::output;
 use anyhow::{Context, bail};
 use clap::ValueEnum;
 use coil_ps::dataset::{lp, write_object};
+use coil_ps::image::encode_rgb;
 use coil_ps::light::{fibonacci_hemisphere, ring};
 use coil_ps::render::worlds::{self, Object, Split};
 use coil_ps::render::{Finish, Material, Mesh, Options, Pose, Scene, Sensor, Shape, Tracer, sensor};
 use coil_ps::rng::Rng;
+use coil_ps::stack::BitDepth;
 use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -17,8 +19,9 @@ use std::time::Instant;
 
 /// Render objects under many lights, as folders in DiLiGenT's layout.
 ///
-/// OBJECT is a mesh (.obj, .ply, .stl), a sculpture (blob:7, relief:3, drape, vase, coral, totem, figure, knot, lattice,
-/// stone; sphere, bowl), a test object (worlds-v1, worlds-v1:17) or drawn ones (training:SEED:COUNT, validation:SEED:COUNT).
+/// OBJECT is a mesh (.obj, .ply, .stl), a sculpture (blob:7, relief:3, …: also drape, vase, coral, totem, figure, knot,
+/// lattice, stone; and sphere, bowl), the test objects (worlds-v1, worlds-v1:0..9), or drawn ones (worlds-train:0..999,
+/// worlds-validate:0..49).
 #[derive(clap::Args)]
 pub struct Args {
     /// What to render; with --merge, the folders of the shards.
@@ -27,7 +30,7 @@ pub struct Args {
     #[arg(long, default_value = "fibonacci:100", allow_hyphen_values = true)]
     lights: Vec<String>,
     /// Material: a name of models/materials/abc.json, lambert:ALBEDO, ggx:ALPHA:F0, or random (a training material, perhaps
-    /// with patches and texture). Not for worlds-v1, training and validation, which have their own.
+    /// with patches and texture). Not for worlds-…, which have their own.
     #[arg(long)]
     material: Option<String>,
     /// Pose of meshes and sculptures: front, random, or a JSON file with "rotation" (rows), "scale", "translation".
@@ -55,8 +58,14 @@ pub struct Args {
     #[arg(long)]
     merge: bool,
     /// Folder to write to; it is made where it is missing.
-    #[arg(long, required_unless_present = "bench")]
+    #[arg(long, required_unless_present_any = ["bench", "sheet"])]
     out: Option<PathBuf>,
+    /// Write one picture that shows every object under the first light to FILE (.png), instead of stacks.
+    #[arg(long, value_name = "FILE")]
+    sheet: Option<PathBuf>,
+    /// Objects a row of --sheet.
+    #[arg(long, default_value_t = 10)]
+    columns: usize,
     /// Write a summary as JSON to standard output.
     #[arg(long)]
     json: bool,
@@ -101,10 +110,13 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     if args.bench {
         return bench(&args);
     }
-    let out = args.out.clone().context("--out DIR says where to write")?;
     if args.objects.is_empty() {
         bail!("what to render? a mesh file, blob:7, worlds-v1; see coil render --help");
     }
+    if let Some(file) = &args.sheet {
+        return sheet(&args, file);
+    }
+    let out = args.out.clone().context("--out DIR says where to write")?;
     if args.merge {
         return merge(&args.objects, &out, args.json);
     }
@@ -205,6 +217,41 @@ fn report(manifest: &Manifest, out: &Path, total: usize, json: bool) -> anyhow::
         let images: usize = manifest.rendered.iter().map(|r| r.images).sum();
         println!("{} of {total} objects, {images} images: {}", manifest.rendered.len(), out.display());
     }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Every object under the first light, side by side, each at its own exposure, gamma 2.2.
+fn sheet(args: &Args, file: &Path) -> anyhow::Result<ExitCode> {
+    let light = lights(&args.lights)?[0];
+    let options = Options { size: args.size, bounces: args.bounces, ..Options::default() };
+    let mut jobs = Vec::new();
+    for name in &args.objects {
+        jobs.extend(objects(name, args)?);
+    }
+    let scenes: Vec<Scene> = jobs
+        .par_iter()
+        .map(|(object, pose)| match pose {
+            Some(pose) => Scene::new(&object.name, &object.shape, pose, &object.finish, &options),
+            None => object.scene(&options),
+        })
+        .collect::<Result<_, _>>()?;
+    let size = args.size as usize;
+    let columns = args.columns.clamp(1, scenes.len());
+    let (width, height) = (columns * size, scenes.len().div_ceil(columns) * size);
+    let mut picture = vec![[0u16; 3]; width * height];
+    for (i, scene) in scenes.iter().enumerate() {
+        let image = scene.render(light);
+        let mut values: Vec<f32> = image.iter().map(|c| c[0].max(c[1]).max(c[2])).collect();
+        values.sort_by(f32::total_cmp);
+        // Highlights may burn out: the rest is what there is to see.
+        let white = (values[values.len() * 95 / 100] * 1.3).max(1e-4);
+        for (p, rgb) in image.iter().enumerate() {
+            let (x, y) = scene.view.mask.position(p);
+            let at = (i / columns * size + y as usize) * width + i % columns * size + x as usize;
+            picture[at] = rgb.map(|v| ((v / white).clamp(0.0, 1.0).powf(1.0 / 2.2) * 255.0 + 0.5) as u16);
+        }
+    }
+    output::write(file, &encode_rgb(width as u32, height as u32, BitDepth::Eight, &picture)?)?;
     Ok(ExitCode::SUCCESS)
 }
 

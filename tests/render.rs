@@ -1,0 +1,144 @@
+//! `coil render` as a user runs it: stacks that `coil eval` reads, shards, poses, errors.
+#![cfg(all(feature = "cli", feature = "render"))]
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+fn coil(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_coil")).args(args).output().expect("coil runs")
+}
+
+fn good(args: &[&str]) -> String {
+    let out = coil(args);
+    assert!(out.status.success(), "{args:?}: {}", String::from_utf8_lossy(&out.stderr));
+    String::from_utf8(out.stdout).unwrap()
+}
+
+fn refused(args: &[&str]) -> String {
+    let out = coil(args);
+    assert_eq!(out.status.code(), Some(2), "{args:?}");
+    String::from_utf8(out.stderr).unwrap()
+}
+
+/// A fresh folder of this test.
+fn folder(name: &str) -> PathBuf {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = std::fs::remove_dir_all(&path);
+    std::fs::create_dir_all(&path).unwrap();
+    path
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// Checksums of the objects of a manifest.
+fn checksums(file: &Path) -> Vec<(String, String)> {
+    let json: serde_json::Value = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
+    let string = |v: &serde_json::Value| v.as_str().unwrap().to_string();
+    let list = json["rendered"].as_array().unwrap();
+    let mut sums: Vec<_> = list.iter().map(|r| (string(&r["name"]), string(&r["checksum"]))).collect();
+    sums.sort();
+    sums
+}
+
+#[test]
+fn what_is_rendered_can_be_evaluated() {
+    let out = folder("evaluated");
+    let lights = ["--lights", "fibonacci:12", "--size", "32", "--sensor", "camera"];
+    good(&[&["render", "sphere", "blob:3+nylon", "--out", text(&out)][..], &lights].concat());
+    let table = good(&["eval", text(&out), "--planner", "all", "--draws", "1"]);
+    assert!(table.contains("sphere") && table.contains("blob-3-nylon"), "{table}");
+}
+
+#[test]
+fn shards_make_the_same_set() {
+    let out = folder("shards");
+    let common = ["--lights", "fibonacci:3", "--size", "24"];
+    let whole = out.join("whole");
+    good(&[&["render", "worlds-v1:0..4", "--out", text(&whole)][..], &common].concat());
+    let parts: Vec<PathBuf> = (1..=2).map(|i| out.join(format!("part{i}"))).collect();
+    for (i, part) in parts.iter().enumerate() {
+        let shard = format!("{}/2", i + 1);
+        let args = ["render", "worlds-v1:0..4", "--shard", &shard, "--out", text(part)];
+        good(&[&args[..], &common].concat());
+    }
+    let merged = out.join("merged");
+    let message = refused(&["render", "--merge", text(&parts[1]), "--out", text(&merged)]);
+    assert!(message.contains("shard 1/2 is missing"), "{message}");
+    good(&["render", "--merge", text(&parts[0]), text(&parts[1]), "--out", text(&merged)]);
+    let sums = checksums(&whole.join("render.json"));
+    assert_eq!(sums.len(), 5);
+    assert_eq!(sums, checksums(&merged.join("render.json")));
+    let image = |set: &Path| std::fs::read(set.join(&sums[2].0).join("002.png")).unwrap();
+    assert_eq!(image(&whole), image(&merged));
+}
+
+#[test]
+fn gnu_parallel_makes_a_set() {
+    if Command::new("parallel").arg("--version").output().is_err() {
+        assert!(std::env::var("CI").as_deref() != Ok("true"), "GNU parallel is not installed (apt-get install parallel)");
+        println!("SKIPPED: GNU parallel is not installed (apt-get install parallel)");
+        return;
+    }
+    let out = folder("parallel");
+    // The command of docs/rendering.md.
+    let line = format!(
+        "{} render worlds-train:0..2 --lights fibonacci:2 --size 16 --shard {{}}/3 --out {}/{{}}",
+        env!("CARGO_BIN_EXE_coil"),
+        text(&out)
+    );
+    let done = Command::new("parallel").args(["-j2", &line, ":::", "1", "2", "3"]).output().unwrap();
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let parts: Vec<PathBuf> = (1..=3).map(|i| out.join(i.to_string())).collect();
+    let set = out.join("set");
+    let mut args = vec!["render", "--merge"];
+    args.extend(parts.iter().map(|p| text(p)));
+    args.extend(["--out", text(&set)]);
+    good(&args);
+    assert_eq!(checksums(&set.join("render.json")).len(), 3);
+}
+
+#[test]
+fn a_mesh_at_a_pose_is_ground_truth() {
+    let out = folder("pose");
+    let (mesh, pose) = (out.join("roof.obj"), out.join("pose.json"));
+    std::fs::write(&mesh, "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nf 1 2 3 4\n").unwrap();
+    // Turned by 30° about y: the plane's normal is (½, 0, √¾).
+    std::fs::write(&pose, r#"{"rotation": [[0.8660254, 0, 0.5], [0, 1, 0], [-0.5, 0, 0.8660254]]}"#).unwrap();
+    let set = out.join("set");
+    let args = ["--material", "lambert:0.5", "--bounces", "0", "--lights", "ring:8:40", "--size", "32"];
+    good(&[&["render", text(&mesh), "--pose", text(&pose), "--out", text(&set)][..], &args].concat());
+    let json: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(set.join("roof/pose.json")).unwrap()).unwrap();
+    assert_eq!(json["rotation"][0][2], 0.5);
+    // The measured normals of a plane without shadows are the true ones.
+    let table = good(&["eval", text(&set), "--planner", "all", "--draws", "1"]);
+    let error: f64 = table.lines().find_map(|l| l.split_whitespace().last()?.parse().ok()).unwrap();
+    assert!(error < 0.1, "{table}");
+}
+
+#[test]
+fn what_cannot_be_rendered_is_named() {
+    let out = folder("refused");
+    let nan = out.join("nan.obj");
+    std::fs::write(&nan, "v 0 0 nan\nf 1 1 1\n").unwrap();
+    let o = text(&out);
+    for (args, expected) in [
+        (vec!["render", "--out", o], "what to render?"),
+        (vec!["render", "cube:1", "--out", o], "FAMILY:SEED"),
+        (vec!["render", text(&nan), "--out", o], "vertex 1"),
+        (vec!["render", "missing.obj", "--out", o], "missing.obj"),
+        (vec!["render", "sphere", "--material", "cheese", "--out", o], "no material 'cheese'"),
+        (vec!["render", "sphere", "--size", "0", "--out", o], "image size 0"),
+        (vec!["render", "sphere", "--lights", "0,0,-1", "--out", o], "z ≥ 0"),
+        (vec!["render", "sphere", "--lights", "stars", "--out", o], "fibonacci:K"),
+        (vec!["render", "sphere", "--shard", "3/2", "--out", o], "--shard 3/2"),
+        (vec!["render", "worlds-v1", "--material", "brass", "--out", o], "part of it"),
+        (vec!["render", "worlds-v1:100", "--out", o], "0..=99"),
+        (vec!["render", "sphere", "--pose", "nowhere.json", "--out", o], "--pose takes"),
+    ] {
+        let message = refused(&args);
+        assert!(message.contains(expected), "{args:?}: {message}");
+    }
+}
