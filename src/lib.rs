@@ -24,7 +24,7 @@
 //! let scene = Scene::new("blob", &shape, &pose, &finish, &Options { size: 48, ..Options::default() })?;
 //! let camera = SceneCamera::new(&scene);
 //!
-//! let setup = Setup { lights: 10, seed: 1, draw: 0, camera: None, truth: None };
+//! let setup = Setup { lights: 10, seed: 1, draw: 0, camera: None, truth: None, learned: None };
 //! let planner = planner::build("tk22", &setup)?;
 //! let domain = Domain::Hemisphere { reach: 70f32.to_radians() };
 //! let mut session = Session::new(camera.mask().clone(), domain, planner, 10);
@@ -64,6 +64,8 @@ pub mod pixels;
 pub mod surface;
 
 pub mod planner;
+#[cfg(feature = "policy")]
+pub mod policy;
 pub mod session;
 
 pub mod view;
@@ -72,3 +74,6 @@ pub mod eval;
 
 #[cfg(target_arch = "wasm32")]
 pub mod web;
+
+#[cfg(all(feature = "train", not(target_arch = "wasm32")))]
+pub mod train;

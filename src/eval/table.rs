@@ -9,7 +9,7 @@ use crate::camera::{Camera, Domain, Observation};
 use crate::error;
 use crate::light;
 use crate::planner::oracle::ORACLE_CANDIDATES;
-use crate::planner::{self, Choice, PlanError, Setup};
+use crate::planner::{self, Choice, Learned, PlanError, Setup};
 use crate::relight::Lookup;
 use crate::session::{Session, SessionError, Step};
 use crate::solve::{self, Measurements, UnknownSolver};
@@ -246,12 +246,17 @@ impl Run {
     }
 }
 
-/// Makes one run on an object and solves it with each of `solvers`.
+/// Makes one run on an object and solves it with each of `solvers`. `learned` are the trained planners there are.
 ///
 /// # Errors
 /// [`SessionError`]: the planner is not defined there, or the camera or a solver failed.
-pub fn run(subject: &Subject, spec: &RunSpec, solvers: &[String]) -> Result<Run, SessionError> {
-    run_watched(subject, spec, solvers, &mut |_| ())
+pub fn run(
+    subject: &Subject,
+    spec: &RunSpec,
+    solvers: &[String],
+    learned: Option<&dyn Learned>,
+) -> Result<Run, SessionError> {
+    run_watched(subject, spec, solvers, learned, &mut |_| ())
 }
 
 /// [`run`], with a look at the pictures so far after each of them.
@@ -262,9 +267,11 @@ pub fn run_watched(
     subject: &Subject,
     spec: &RunSpec,
     solvers: &[String],
+    learned: Option<&dyn Learned>,
     watch: &mut dyn FnMut(&[Observation]),
 ) -> Result<Run, SessionError> {
-    let seen = if spec.planner == ALL_LIGHTS { every_light(subject)? } else { plan(subject, spec, watch)? };
+    let seen =
+        if spec.planner == ALL_LIGHTS { every_light(subject)? } else { plan(subject, spec, learned, watch)? };
     let mut mae = Vec::with_capacity(solvers.len());
     for name in solvers {
         let solver = solve::by_name(name).map_err(|e| solve::SolveError::Model(e.to_string()))?;
@@ -297,6 +304,7 @@ fn every_light(subject: &Subject) -> Result<Vec<Observation>, SessionError> {
 fn plan(
     subject: &Subject,
     spec: &RunSpec,
+    learned: Option<&dyn Learned>,
     watch: &mut dyn FnMut(&[Observation]),
 ) -> Result<Vec<Observation>, SessionError> {
     let info = planner::info(&spec.planner)?;
@@ -308,7 +316,8 @@ fn plan(
         }
         Subject::Scene { camera, truth, .. } => (camera, truth),
     };
-    let setup = Setup { lights: spec.lights, seed: spec.seed, draw: spec.draw, camera: Some(camera), truth };
+    let (lights, seed, draw) = (spec.lights, spec.seed, spec.draw);
+    let setup = Setup { lights, seed, draw, camera: Some(camera), truth, learned };
     let planner = planner::build(&spec.planner, &setup)?;
     let mut session = Session::new(camera.mask().clone(), subject.domain(info.choice), planner, spec.lights);
     while let Step::Capture(direction) = session.step()? {
@@ -407,7 +416,7 @@ pub fn evaluate(subject: &Subject, settings: &Settings) -> Result<Vec<Row>, Sett
         .runs()?
         .into_iter()
         .map(|spec| {
-            let mut made = run(subject, &spec, &settings.solvers);
+            let mut made = run(subject, &spec, &settings.solvers, None);
             if let Ok(made) = &mut made {
                 made.forget_pixels();
             }

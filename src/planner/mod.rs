@@ -3,6 +3,8 @@
 //! Discrete planners return one of the candidates; continuous ones return any unit vector within reach.
 //! None repeats a light, all are deterministic for a seed.
 
+#[cfg(feature = "policy")]
+pub mod coil;
 pub mod fixed;
 pub mod oracle;
 pub mod random;
@@ -159,6 +161,42 @@ pub const PLANNERS: &[Info] = &[
         online: false,
         oracle: false,
     },
+    #[cfg(feature = "policy")]
+    Info {
+        name: "coil",
+        label: "COIL-PS",
+        about: "a trained network looks at all pictures and names any direction",
+        choice: Choice::Continuous,
+        online: true,
+        oracle: false,
+    },
+    #[cfg(feature = "policy")]
+    Info {
+        name: "coil-no-gate",
+        label: "COIL-PS without gate",
+        about: "ablation: the network without its outlier-aware gate",
+        choice: Choice::Continuous,
+        online: true,
+        oracle: false,
+    },
+    #[cfg(feature = "policy")]
+    Info {
+        name: "coil-no-transformer",
+        label: "COIL-PS without transformer",
+        about: "ablation: the network without its memory of earlier pictures",
+        choice: Choice::Continuous,
+        online: true,
+        oracle: false,
+    },
+    #[cfg(feature = "policy")]
+    Info {
+        name: "coil-blank",
+        label: "COIL-PS, blanked",
+        about: "the same training with black pictures: the fixed light set that it finds",
+        choice: Choice::Continuous,
+        online: false,
+        oracle: false,
+    },
     Info {
         name: "oracle",
         label: "Oracle (sees the truth)",
@@ -217,6 +255,14 @@ pub struct Setup<'a> {
     pub camera: Option<&'a dyn Camera>,
     /// True normals of the mask pixels, for oracles.
     pub truth: Option<&'a [Vec3]>,
+    /// Trained planners, for those names that stand for one.
+    pub learned: Option<&'a dyn Learned>,
+}
+
+/// Trained planners by name: whoever has the model files gives them.
+pub trait Learned: Sync {
+    /// The planner of a name, beginning with a light at `start`; `None` where no model of that name is loaded.
+    fn planner(&self, name: &str, start: Vec3) -> Option<Box<dyn Planner>>;
 }
 
 /// The planner of a name in [`PLANNERS`].
@@ -243,6 +289,11 @@ pub fn build<'a>(name: &str, setup: &Setup<'a>) -> Result<Box<dyn Planner + 'a>,
         }
         "lipids" => Box::new(fixed::FixedSet::new(fixed::jittered(fixed::lipids(lights)?, draw, &mut rng))),
         "tk22" => Box::new(tk22::Tk22::new(start(&mut rng), rng)),
+        name if name.starts_with("coil") => {
+            let needs = || PlanError::Needs { planner: info.name, what: "its trained model".into() };
+            let learned = setup.learned.ok_or_else(needs)?;
+            learned.planner(name, start(&mut rng)).ok_or_else(needs)?
+        }
         _ => {
             let needs = |what: &str| PlanError::Needs { planner: info.name, what: what.into() };
             let truth =

@@ -133,8 +133,10 @@ impl Object {
     }
 }
 
-/// Half of the objects are of one material, a quarter has a second in patches, four in ten an albedo texture.
-fn finish(split: Split, rng: &mut Rng) -> Finish {
+/// A finish of a split: half of the objects are of one material, a quarter has a second in patches, four in ten an
+/// albedo texture.
+#[must_use]
+pub fn finish(split: Split, rng: &mut Rng) -> Finish {
     let names = split.materials();
     let draw = |rng: &mut Rng| {
         Material::Abc(Abc::named(names[rng.below(names.len())]).expect("names come from the file").clone())

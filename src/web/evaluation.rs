@@ -111,7 +111,7 @@ impl Evaluation {
                 failed = report_step(of, settings, seen, size, on_step).err();
             }
         };
-        let run = table::run_watched(&Subject::Stack(&of.stack), &spec, &settings.solvers, &mut watch);
+        let run = table::run_watched(&Subject::Stack(&of.stack), &spec, &settings.solvers, None, &mut watch);
         if let Some(error) = failed {
             return Err(error);
         }

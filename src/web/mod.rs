@@ -6,6 +6,8 @@
 mod evaluation;
 mod object;
 mod picture;
+#[cfg(feature = "policy")]
+mod policy;
 #[cfg(feature = "render")]
 mod render;
 mod session;
@@ -14,6 +16,8 @@ mod stack;
 pub use evaluation::{Evaluation, catalogue};
 pub use object::{CapturedObject, ObjectFiles, ObjectHeader, Pixels, decode_pixels};
 pub use picture::{Picture, colour_bar};
+#[cfg(feature = "policy")]
+pub use policy::PolicyRunner;
 #[cfg(feature = "render")]
 pub use render::{Capture, families, materials};
 pub use session::Session;

@@ -35,7 +35,7 @@ impl Session {
             list if list.is_empty() || fixed => Domain::Hemisphere { reach: reach.to_radians() },
             list => Domain::Candidates(list),
         };
-        let setup = Setup { lights, seed: seed.into(), draw: 0, camera: None, truth: None };
+        let setup = Setup { lights, seed: seed.into(), draw: 0, camera: None, truth: None, learned: None };
         let planner = planner::build(planner, &setup).map_err(fail)?;
         Ok(Self(session::Session::new(mask, domain, planner, lights)))
     }

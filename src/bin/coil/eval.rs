@@ -6,6 +6,7 @@ use anyhow::Context;
 use clap::Args;
 use coil_ps::eval::table::{self, ALL_LIGHTS};
 use coil_ps::eval::{Protocol, Report, Row, Run, RunSpec, Settings, Subject};
+use coil_ps::planner::Learned;
 use coil_ps::session::SessionError;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -38,6 +39,10 @@ pub struct EvalArgs {
     /// Seed of all repetitions.
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Folder with the trained planners' models.
+    #[cfg(feature = "policy")]
+    #[arg(long, value_name = "DIR", default_value = "models")]
+    models: PathBuf,
     /// Write the results as JSON to FILE (- or nothing: to standard output, instead of the table).
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "-")]
     json: Option<PathBuf>,
@@ -58,6 +63,12 @@ pub fn run(args: EvalArgs) -> anyhow::Result<ExitCode> {
         seed: args.seed,
     };
     let runs = settings.runs()?;
+    #[cfg(feature = "policy")]
+    let models = crate::models::Models::load(&args.models, &settings.planners)?;
+    #[cfg(feature = "policy")]
+    let learned: Option<&dyn Learned> = Some(&models);
+    #[cfg(not(feature = "policy"))]
+    let learned: Option<&dyn Learned> = None;
     let mut results = Vec::new();
     args.selection.for_each(settings.protocol, |name, object| {
         let object = match object {
@@ -69,8 +80,9 @@ pub fn run(args: EvalArgs) -> anyhow::Result<ExitCode> {
             }
         };
         let reach = args.selection.reach.to_radians();
-        let rows =
-            object.with_subject(reach, |subject| evaluate(subject, &runs, &settings, args.out.as_deref()))?;
+        let rows = object.with_subject(reach, |subject| {
+            evaluate(subject, &runs, &settings, learned, args.out.as_deref())
+        })?;
         results.extend(rows);
         Ok(())
     })?;
@@ -92,13 +104,14 @@ fn evaluate(
     subject: &Subject,
     runs: &[RunSpec],
     settings: &Settings,
+    learned: Option<&dyn Learned>,
     out: Option<&Path>,
 ) -> anyhow::Result<Vec<Row>> {
     let bar = output::progress(runs.len(), subject.name());
     let done: Vec<(RunSpec, Result<Run, SessionError>)> = runs
         .par_iter()
         .map(|spec| {
-            let mut run = table::run(subject, spec, &settings.solvers);
+            let mut run = table::run(subject, spec, &settings.solvers, learned);
             if let (Ok(run), true) = (&mut run, spec.draw > 0 || out.is_none()) {
                 run.forget_pixels();
             }

@@ -4,6 +4,10 @@ mod eval;
 mod export;
 mod files;
 mod info;
+#[cfg(feature = "policy")]
+mod model;
+#[cfg(feature = "policy")]
+mod models;
 mod objects;
 mod output;
 #[cfg(feature = "render")]
@@ -15,6 +19,8 @@ mod study;
 mod train_solver;
 #[cfg(feature = "render")]
 mod tune;
+#[cfg(feature = "train")]
+mod train;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -50,6 +56,12 @@ enum Command {
     Render(render::Args),
     /// Build what is stale of the page and serve it on this machine.
     Serve(serve::ServeArgs),
+    /// What a trained model says of itself.
+    #[cfg(feature = "policy")]
+    Model(model::Args),
+    /// Train a network (in resumable pieces).
+    #[cfg(feature = "train")]
+    Train(train::Args),
 }
 
 fn main() -> ExitCode {
@@ -66,6 +78,10 @@ fn main() -> ExitCode {
         #[cfg(feature = "render")]
         Command::Render(args) => render::run(args),
         Command::Serve(args) => serve::run(args),
+        #[cfg(feature = "policy")]
+        Command::Model(args) => model::run(args),
+        #[cfg(feature = "train")]
+        Command::Train(args) => train::run(args),
     };
     result.unwrap_or_else(|error| {
         eprintln!("error: {error:#}");

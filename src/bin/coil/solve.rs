@@ -78,7 +78,7 @@ fn one(subject: &Subject, solver: &dyn solve::Solver, args: &Args) -> anyhow::Re
     let lookup = Lookup::Nearest;
     let spec =
         RunSpec { planner: args.planner.clone(), lights: args.lights, lookup, draw: 0, seed: args.seed };
-    let seen = table::run(subject, &spec, &[])?.seen;
+    let seen = table::run(subject, &spec, &[], None)?.seen;
     // Planners look back only, so stopping early and cutting the whole run short are the same.
     let counts = if args.stop_at.is_some() { 3..=seen.len() } else { seen.len()..=seen.len() };
     let mut result = None;

@@ -1,0 +1,89 @@
+//! COIL-PS: the learned planner. It looks at all pictures so far and names any direction within reach.
+
+use super::{PlanError, Planner, View};
+use crate::camera::Domain;
+use crate::light;
+use crate::policy::{Policy, Sequence};
+use glam::Vec3;
+
+/// The learned planner, with a loaded [`Policy`].
+#[derive(Clone, Debug)]
+pub struct Coil {
+    policy: Policy,
+    run: Option<Sequence>,
+    wish: Vec3,
+    blank: bool,
+}
+
+impl Coil {
+    /// A planner for one object, whose first light is `start` (frontal in training). The policy is shared, not copied.
+    #[must_use]
+    pub fn new(policy: Policy, start: Vec3) -> Self {
+        Self { policy, run: None, wish: start, blank: false }
+    }
+
+    /// The planner of a policy that was trained on black pictures: it is shown none.
+    #[must_use]
+    pub fn blank(policy: Policy, start: Vec3) -> Self {
+        Self { blank: true, ..Self::new(policy, start) }
+    }
+
+    /// The network's own last direction, before it was moved to a candidate or away from a light already used.
+    #[must_use]
+    pub fn wish(&self) -> Vec3 {
+        self.wish
+    }
+
+    /// What the policy made of the pictures so far (its gate map); `None` before the first.
+    #[must_use]
+    pub fn sequence(&self) -> Option<&Sequence> {
+        self.run.as_ref()
+    }
+}
+
+/// Directions nearer than this (radians, about 0.06°) count as the same light.
+const SAME: f32 = 1e-3;
+/// The angle that spreads points evenly when added again and again.
+const GOLDEN: f32 = 2.399_963;
+
+impl Planner for Coil {
+    fn next(&mut self, view: &View) -> Result<Vec3, PlanError> {
+        let run = self.run.get_or_insert_with(|| self.policy.start(view.mask, view.domain.reach()));
+        for seen in &view.seen[run.seen()..] {
+            let grey;
+            let rgb = if self.blank {
+                grey = vec![[0.0; 3]; view.mask.len()];
+                &grey
+            } else if seen.rgb.is_empty() {
+                grey = seen.grey.iter().map(|&v| [v; 3]).collect::<Vec<_>>();
+                &grey
+            } else {
+                &seen.rgb
+            };
+            self.wish = run.observe(rgb, seen.light).map_err(|e| PlanError::Model(e.to_string()))?;
+        }
+        match view.domain {
+            Domain::Candidates(all) => {
+                let free = |i: usize| !view.seen.iter().any(|o| o.requested == all[i]);
+                let i = light::nearest(self.wish, all, free);
+                i.map(|i| all[i])
+                    .ok_or(PlanError::TooFewCandidates { candidates: all.len(), lights: view.lights })
+            }
+            Domain::Hemisphere { reach } => Ok(apart(self.wish, *reach, view)),
+        }
+    }
+}
+
+/// `wish`, or where a light has been there before, the nearest free place on a small spiral around it.
+fn apart(wish: Vec3, reach: f32, view: &View) -> Vec3 {
+    let taken = |d: Vec3| view.seen.iter().any(|o| light::angle(o.requested, d) < SAME);
+    (0..1000)
+        .map(|k| {
+            let step = 2.0 * SAME * (k as f32).sqrt();
+            let (s, c) = libm::sincosf(GOLDEN * k as f32);
+            let moved = (wish + step * Vec3::new(c, s, 0.0)).normalize();
+            light::from_azimuth_slant(light::azimuth(moved), light::slant(moved).min(reach))
+        })
+        .find(|&d| !taken(d))
+        .unwrap_or(wish)
+}

@@ -1,0 +1,174 @@
+//! Runs a trained policy: each new picture is encoded once, attention's keys and values of the earlier ones are kept.
+
+use super::config::Config;
+use super::file::{self, Header, ModelError, ModelFiles, root_cause};
+use super::frame::{Crop, white};
+use crate::stack::Mask;
+use glam::Vec3;
+use std::f32::consts::FRAC_PI_2;
+use tract_onnx::prelude::*;
+
+type Plan = Arc<TypedRunnableModel>;
+
+/// A loaded policy.
+#[derive(Clone)]
+pub struct Policy {
+    header: Header,
+    encoder: Plan,
+    step: Plan,
+}
+
+impl std::fmt::Debug for Policy {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Policy").field("header", &self.header).finish_non_exhaustive()
+    }
+}
+
+impl Policy {
+    /// Loads and checks the two files of a policy and prepares them for running.
+    ///
+    /// # Errors
+    /// [`ModelError`] for files that are damaged, of another version or don't belong together.
+    pub fn load(files: &ModelFiles) -> Result<Self, ModelError> {
+        let (encoder, header) = file::read("encoder", &files.encoder)?;
+        let (step, step_header) = file::read("step", &files.step)?;
+        file::pair(&header, &step_header)?;
+        let plan = |proto| -> TractResult<Plan> {
+            tract_onnx::onnx().model_for_proto_model(proto)?.into_optimized()?.into_runnable()
+        };
+        let run = |e: TractError| ModelError::Run(root_cause(&e));
+        Ok(Self { header, encoder: plan(&encoder).map_err(run)?, step: plan(&step).map_err(run)? })
+    }
+
+    /// Sizes of its network.
+    #[must_use]
+    pub fn config(&self) -> &Config {
+        &self.header.config
+    }
+
+    /// What the files say of themselves.
+    #[must_use]
+    pub fn header(&self) -> &Header {
+        &self.header
+    }
+
+    /// A new sequence: an object's mask, and the largest slant of a light, radians.
+    #[must_use]
+    pub fn start(&self, mask: &Mask, reach: f32) -> Sequence {
+        let config = self.header.config.clone();
+        let cache = if config.transformer { config.cache_len() } else { 0 };
+        Sequence {
+            policy: self.clone(),
+            crop: Crop::new(mask, config.input),
+            pixels: mask.len(),
+            reach: (reach / FRAC_PI_2).clamp(0.0, 1.0),
+            white: None,
+            position: 0,
+            keys: vec![0.0; cache],
+            values: vec![0.0; cache],
+            gate: None,
+        }
+    }
+}
+
+/// One object's capture in progress, as the policy sees it.
+#[derive(Clone, Debug)]
+pub struct Sequence {
+    policy: Policy,
+    crop: Crop,
+    pixels: usize,
+    reach: f32,
+    white: Option<f32>,
+    position: usize,
+    keys: Vec<f32>,
+    values: Vec<f32>,
+    gate: Option<Vec<f32>>,
+}
+
+impl Sequence {
+    /// Takes in the newest picture (linear RGB of the mask pixels) and the direction it was taken under; gives the next
+    /// direction, a unit vector whose slant is within reach.
+    ///
+    /// # Errors
+    /// [`ModelError::Run`] for a picture that doesn't fit the mask or isn't finite, or more pictures than the network takes.
+    pub fn observe(&mut self, rgb: &[[f32; 3]], light: Vec3) -> Result<Vec3, ModelError> {
+        let config = self.policy.header.config.clone();
+        if rgb.len() != self.pixels {
+            return Err(ModelError::Run(format!(
+                "a picture of {} pixels, the mask has {}",
+                rgb.len(),
+                self.pixels
+            )));
+        }
+        if !rgb.as_flattened().iter().all(|v| v.is_finite()) || !light.is_finite() || light == Vec3::ZERO {
+            return Err(ModelError::Run("the picture or its light direction is not finite".into()));
+        }
+        if self.position >= config.max_frames {
+            return Err(ModelError::Run(format!(
+                "this network takes {} pictures at most",
+                config.max_frames
+            )));
+        }
+        let white = *self.white.get_or_insert_with(|| white(rgb));
+        let frame = self.crop.frame(rgb, white);
+        let direction =
+            self.forward(&config, frame, light.normalize()).map_err(|e| ModelError::Run(root_cause(&e)))?;
+        direction.try_normalize().ok_or_else(|| ModelError::Run("the network gave no direction".into()))
+    }
+
+    /// The gate of the newest picture, `input × input`, 1 where a pixel is trusted; `None` before the first picture and for
+    /// a network without gate.
+    #[must_use]
+    pub fn gate(&self) -> Option<&[f32]> {
+        self.gate.as_deref()
+    }
+
+    /// Pictures taken in.
+    #[must_use]
+    pub fn seen(&self) -> usize {
+        self.position
+    }
+
+    fn forward(&mut self, config: &Config, frame: Vec<f32>, light: Vec3) -> TractResult<Vec3> {
+        let s = config.input;
+        let frame = Tensor::from_shape(&[1, 3, s, s], &frame)?;
+        let encoded = self.policy.encoder.run(tvec!(frame.into()))?;
+        let mut inputs = tvec!(
+            encoded[0].clone(),
+            Tensor::from_shape(&[1, 3], &light.to_array())?.into(),
+            Tensor::from_shape(&[1, 1], &[self.reach])?.into(),
+        );
+        self.gate = match encoded.get(1) {
+            Some(gate) => Some(floats(gate)?),
+            None => None,
+        };
+        if config.transformer {
+            let shape = [
+                config.layers,
+                config.locations() * config.heads,
+                config.max_frames,
+                config.width / config.heads,
+            ];
+            inputs.push(Tensor::from_shape(&[1], &[self.position as i64])?.into());
+            inputs.push(Tensor::from_shape(&shape, &self.keys)?.into());
+            inputs.push(Tensor::from_shape(&shape, &self.values)?.into());
+        }
+        let outputs = self.policy.step.run(inputs)?;
+        if config.transformer {
+            let size = config.width / config.heads;
+            for (cache, new) in [(&mut self.keys, &outputs[1]), (&mut self.values, &outputs[2])] {
+                for (i, entry) in floats(new)?.chunks_exact(size).enumerate() {
+                    let at = (i * config.max_frames + self.position) * size;
+                    cache[at..at + size].copy_from_slice(entry);
+                }
+            }
+        }
+        self.position += 1;
+        let d = floats(&outputs[0])?;
+        Ok(Vec3::new(d[0], d[1], d[2].max(0.0)))
+    }
+}
+
+fn floats(t: &TValue) -> TractResult<Vec<f32>> {
+    Ok(t.to_plain_array_view::<f32>()?.iter().copied().collect())
+}

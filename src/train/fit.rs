@@ -1,0 +1,421 @@
+//! The training loop as a value: make a step, save everything, go on from what was saved as if nothing had happened.
+
+use super::adamw::{AdamW, clip};
+use super::formation::{Lookup, Scene, light_set};
+use super::loss::{LeastSquares, TrainingSolver};
+use super::rollout::{Conditions, Episode, Pass, differentiate};
+use super::weights::Weights;
+use crate::light::fibonacci_cap;
+use crate::policy::config::Config;
+use crate::rng::Rng;
+use serde::{Deserialize, Serialize};
+use std::f32::consts::{FRAC_PI_2, PI};
+
+/// Everything that decides what a run does: the same recipe gives the same weights, bit for bit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Recipe {
+    /// The network.
+    pub config: Config,
+    /// Seed of the weights and of every draw.
+    pub seed: u64,
+    /// Objects in the training pool.
+    pub objects: usize,
+    /// Side of the training pictures, pixels.
+    pub resolution: u32,
+    /// Updates.
+    pub steps: u64,
+    /// Sequences an update.
+    pub batch: usize,
+    /// Sequences differentiated together; the batch's gradient is the sum over these, in order, however many threads work.
+    pub micro_batch: usize,
+    /// Pictures a sequence, T.
+    pub lights: usize,
+    /// Learning rate.
+    pub rate: f32,
+    /// Whether the rate falls to zero along a cosine.
+    pub cosine: bool,
+    /// Updates over which the rate rises at the start.
+    pub warm_up: u64,
+    /// Weight decay.
+    pub decay: f32,
+    /// Largest length of a gradient.
+    pub clip: f32,
+    /// Softness of shadow boundaries.
+    pub softness: f32,
+    /// Temperature of soft interpolation, radians; `None`: pictures at exactly the direction asked for.
+    pub tau: Option<f32>,
+    /// Share of sequences over the whole hemisphere.
+    pub whole_dome: f32,
+    /// Share of sequences with the nearest of a finite light set; the rest has a random reach.
+    pub finite: f32,
+    /// Black frames: what is learned is one fixed light set.
+    pub blank: bool,
+    /// Share of the gradient that flows back through the pictures as the policy saw them, 1 for all of it. A highlight moves
+    /// fast and ten steps multiply: with features of unit scale the gradient's length reached 20 000 at 1, and 30 000 at
+    /// 0.1, where the loss's own is about 1. The gradient through pictures, solver and loss is always whole.
+    pub feedback: f32,
+    /// Name of the solver.
+    pub solver: String,
+}
+
+/// Smallest reach trained for, radians (25°).
+const SHORTEST_REACH: f32 = 25.0 * PI / 180.0;
+/// Largest reach of the finite light sets, radians (65°).
+const LONGEST_STAGE: f32 = 65.0 * PI / 180.0;
+/// Stored lights of soft interpolation (the paper's K).
+const STORED: usize = 1000;
+
+impl Recipe {
+    /// For two CPU cores: the learning rate of a small network, random reaches and light sets.
+    #[must_use]
+    pub fn compact() -> Self {
+        Self {
+            config: Config::compact(),
+            seed: 1,
+            objects: 2000,
+            resolution: 40,
+            steps: 2000,
+            batch: 8,
+            micro_batch: 8,
+            lights: 10,
+            rate: 6e-4,
+            cosine: true,
+            warm_up: 50,
+            decay: 1e-4,
+            clip: 1.0,
+            softness: 0.05,
+            tau: None,
+            whole_dome: 0.5,
+            finite: 0.25,
+            blank: false,
+            feedback: 0.0,
+            solver: "ls".into(),
+        }
+    }
+
+    /// The paper's: AdamW 1e-5, decay 1e-8, constant rate, batch 8, 500 epochs of 1000 objects, soft interpolation over
+    /// 1000 stored lights. τ is not given there; 0.02 blends about three pictures.
+    #[must_use]
+    pub fn paper() -> Self {
+        Self {
+            config: Config::paper(),
+            objects: 1000,
+            resolution: 128,
+            steps: 62_500,
+            batch: 8,
+            micro_batch: 1,
+            rate: 1e-5,
+            cosine: false,
+            warm_up: 0,
+            decay: 1e-8,
+            tau: Some(0.02),
+            whole_dome: 1.0,
+            finite: 0.0,
+            feedback: 1.0,
+            ..Self::compact()
+        }
+    }
+
+    /// Refuses what can't be trained.
+    ///
+    /// # Errors
+    /// A line that says what is wrong.
+    pub fn check(&self) -> Result<(), String> {
+        self.config.check()?;
+        if self.objects == 0 || self.steps == 0 || self.batch == 0 || self.micro_batch == 0 {
+            return Err("objects, steps, batch and micro-batch must be at least 1".into());
+        }
+        if !(4..=self.config.max_frames).contains(&self.lights) {
+            return Err(format!("{} lights: 4 to {}", self.lights, self.config.max_frames));
+        }
+        if !(self.rate > 0.0 && self.rate < 1.0) {
+            return Err(format!("learning rate {}: between 0 and 1", self.rate));
+        }
+        if self.tau.is_some_and(|t| !(t > 0.0 && t <= 10.0)) {
+            return Err("τ must lie in (0, 10] radians".into());
+        }
+        self.training_solver().map(|_| ())
+    }
+
+    fn training_solver(&self) -> Result<Box<dyn TrainingSolver>, String> {
+        match self.solver.as_str() {
+            "ls" => Ok(Box::new(LeastSquares::default())),
+            other => Err(format!("no training solver '{other}': choose from ls")),
+        }
+    }
+
+    fn rate_at(&self, step: u64) -> f32 {
+        let warm = ((step + 1) as f32 / self.warm_up.max(1) as f32).min(1.0);
+        let done = step as f32 / self.steps as f32;
+        let fall = if self.cosine { 0.5 * (1.0 + libm::cosf(PI * done.min(1.0))) } else { 1.0 };
+        self.rate * warm * fall
+    }
+
+    fn conditions(&self) -> Conditions {
+        Conditions { lights: self.lights, blank: self.blank, feedback: self.feedback }
+    }
+}
+
+/// Where training objects come from: any number of them, by index, the same for the same index.
+pub trait Pool: Sync {
+    /// The object of this index with a material, texture and turn drawn from `rng`.
+    fn draw(&self, index: usize, rng: &mut Rng) -> Box<dyn Scene>;
+}
+
+/// What a step reports.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// Updates made, this one included.
+    pub step: u64,
+    /// Weighted loss of the batch.
+    pub loss: f64,
+    /// Mean of 1 − n·n_gt after the last picture.
+    pub last: f64,
+    /// Length of the gradient before it was clipped.
+    pub gradient: f32,
+    /// Learning rate.
+    pub rate: f32,
+}
+
+/// A training run in progress.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trainer {
+    /// Its recipe.
+    pub recipe: Recipe,
+    /// The parameters now.
+    pub weights: Weights,
+    /// The optimiser's state.
+    pub adam: AdamW,
+    /// Updates made.
+    pub step: u64,
+    /// Best parameters so far by validation error, and that error in degrees.
+    pub best: Option<(Weights, f64)>,
+}
+
+impl Trainer {
+    /// A fresh run.
+    ///
+    /// # Errors
+    /// [`Recipe::check`].
+    pub fn new(recipe: Recipe) -> Result<Self, String> {
+        recipe.check()?;
+        let weights = Weights::new(&recipe.config, recipe.seed);
+        Ok(Self { adam: AdamW::new(&weights), recipe, weights, step: 0, best: None })
+    }
+
+    /// Whether all updates have been made.
+    #[must_use]
+    pub fn done(&self) -> bool {
+        self.step >= self.recipe.steps
+    }
+
+    /// One update, on `threads` threads; their number doesn't change the result.
+    ///
+    /// # Errors
+    /// A loss or gradient that is not finite; the weights are then as they were.
+    pub fn update(&mut self, pool: &dyn Pool, threads: usize) -> Result<Report, String> {
+        let solver = self.recipe.training_solver()?;
+        let drawn: Vec<Drawn> = (0..self.recipe.batch).map(|b| self.draw(pool, b)).collect();
+        let groups: Vec<&[Drawn]> = drawn.chunks(self.recipe.micro_batch).collect();
+        let passes = in_parallel(groups.len(), threads, |g| {
+            let episodes: Vec<Episode> = groups[g]
+                .iter()
+                .map(|d| Episode { scene: &*d.scene, lookup: d.lookup.clone(), reach: d.reach })
+                .collect();
+            differentiate(&self.weights, &episodes, self.recipe.conditions(), &*solver)
+        });
+        let mut gradients: Vec<Vec<f32>> =
+            self.weights.params.iter().map(|p| vec![0.0; p.values.len()]).collect();
+        let (mut loss, mut last) = (0.0, 0.0);
+        for (pass, group) in passes.iter().zip(&groups) {
+            let Pass { total, last: end, gradients: parts, .. } = pass;
+            let share = group.len() as f64 / self.recipe.batch as f64;
+            loss += share * total;
+            last += share * end;
+            for (sum, part) in gradients.iter_mut().flatten().zip(parts.iter().flatten()) {
+                *sum += share as f32 * part;
+            }
+        }
+        let length = clip(&mut gradients, self.recipe.clip);
+        if !(loss.is_finite() && length.is_finite()) {
+            return Err(format!("step {}: loss {loss}, gradient {length}: not finite", self.step + 1));
+        }
+        let rate = self.recipe.rate_at(self.step);
+        self.adam.update(&mut self.weights, &gradients, rate, self.recipe.decay);
+        self.step += 1;
+        Ok(Report { step: self.step, loss, last, gradient: length, rate })
+    }
+
+    /// Keeps the parameters if this validation error is the lowest so far; says whether it is.
+    pub fn validated(&mut self, degrees: f64) -> bool {
+        let better = self.best.as_ref().is_none_or(|(_, best)| degrees < *best);
+        if better {
+            self.best = Some((self.weights.clone(), degrees));
+        }
+        better
+    }
+
+    /// Sequence `b` of the next update: its own random numbers, whatever came before.
+    fn draw(&self, pool: &dyn Pool, b: usize) -> Drawn {
+        let r = &self.recipe;
+        let mut rng = Rng::stream(r.seed, self.step * r.batch as u64 + b as u64);
+        let scene = pool.draw(rng.below(r.objects), &mut rng);
+        let kind = rng.uniform();
+        let (reach, lookup) = if kind < r.whole_dome {
+            (FRAC_PI_2, Lookup::Exact)
+        } else if kind < r.whole_dome + r.finite {
+            let reach = rng.range(SHORTEST_REACH, LONGEST_STAGE);
+            let set = light_set(&mut rng, reach);
+            (crate::light::reach(&set), Lookup::Nearest(set))
+        } else {
+            (rng.range(SHORTEST_REACH, FRAC_PI_2), Lookup::Exact)
+        };
+        let lookup = match (r.tau, lookup) {
+            (Some(tau), Lookup::Exact) => Lookup::Soft { tau, lights: fibonacci_cap(STORED, reach) },
+            (_, lookup) => lookup,
+        };
+        Drawn { scene, lookup, reach }
+    }
+}
+
+struct Drawn {
+    scene: Box<dyn Scene>,
+    lookup: Lookup,
+    reach: f32,
+}
+
+/// `work(0..count)` on at most `threads` threads; results in order.
+pub fn in_parallel<T: Send>(count: usize, threads: usize, work: impl Fn(usize) -> T + Sync) -> Vec<T> {
+    if threads <= 1 || count <= 1 {
+        return (0..count).map(work).collect();
+    }
+    let next = std::sync::atomic::AtomicUsize::new(0);
+    let (next, work) = (&next, &work);
+    let mut results: Vec<(usize, T)> = std::thread::scope(|scope| {
+        let handles: Vec<_> = (0..threads.min(count))
+            .map(|_| {
+                scope.spawn(move || {
+                    let mut own = Vec::new();
+                    loop {
+                        let i = next.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+                        if i >= count {
+                            break own;
+                        }
+                        own.push((i, work(i)));
+                    }
+                })
+            })
+            .collect();
+        handles.into_iter().flat_map(|h| h.join().expect("a worker panicked")).collect()
+    });
+    results.sort_by_key(|(i, _)| *i);
+    results.into_iter().map(|(_, r)| r).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::formation::tests::Bump;
+    use super::*;
+    use crate::train::checkpoint;
+
+    struct Bumps;
+    impl Pool for Bumps {
+        fn draw(&self, index: usize, rng: &mut Rng) -> Box<dyn Scene> {
+            Box::new(Bump::new(14 + index as u32, rng.range(0.0, 4.0)))
+        }
+    }
+
+    fn recipe() -> Recipe {
+        let config = Config {
+            size: "tiny".into(),
+            input: 16,
+            channels: [4, 4, 8, 8],
+            pools: 2,
+            width: 16,
+            layers: 1,
+            heads: 2,
+            feed_forward: 16,
+            light_hidden: 4,
+            ..Config::compact()
+        };
+        Recipe {
+            config,
+            objects: 3,
+            steps: 30,
+            batch: 4,
+            micro_batch: 2,
+            lights: 5,
+            rate: 2e-3,
+            ..Recipe::compact()
+        }
+    }
+
+    #[test]
+    fn a_short_training_lowers_the_loss() {
+        let mut t = Trainer::new(Recipe { steps: 60, ..recipe() }).unwrap();
+        let mut losses = Vec::new();
+        while !t.done() {
+            losses.push(t.update(&Bumps, 2).unwrap().loss);
+        }
+        let mean = |l: &[f64]| l.iter().sum::<f64>() / l.len() as f64;
+        let (before, after) = (mean(&losses[..10]), mean(&losses[50..]));
+        assert!(after < 0.7 * before, "{before} → {after}");
+    }
+
+    #[test]
+    fn a_resumed_run_is_the_same_to_the_bit_on_any_number_of_threads() {
+        let mut whole = Trainer::new(recipe()).unwrap();
+        for _ in 0..6 {
+            whole.update(&Bumps, 1).unwrap();
+        }
+        let mut first = Trainer::new(recipe()).unwrap();
+        for _ in 0..3 {
+            first.update(&Bumps, 2).unwrap();
+        }
+        first.validated(12.0);
+        let mut second = checkpoint::read(&checkpoint::write(&first)).unwrap();
+        assert_eq!(second, first);
+        for _ in 0..3 {
+            second.update(&Bumps, 2).unwrap();
+        }
+        assert_eq!(second.weights, whole.weights);
+        assert_eq!(second.adam, whole.adam);
+    }
+
+    #[test]
+    fn the_gradient_of_the_whole_pass_agrees_with_finite_differences() {
+        // Through images, solver and all steps; the surrogate in the graph has the loss's gradient, not its value.
+        let r = Recipe { lights: 5, feedback: 1.0, ..recipe() };
+        let mut weights = Weights::new(&r.config, 3);
+        let scene = Bump::new(16, 2.0);
+        let episode = || [Episode { scene: &scene, lookup: Lookup::Exact, reach: 1.2 }];
+        let how = r.conditions();
+        let solver = LeastSquares::default();
+        let pass = differentiate(&weights, &episode(), how, &solver);
+        let index: Vec<usize> =
+            ["head.1.w", "head.0.w", "view.2.v", "tokens.out.w", "encoder.7.g", "light.1.w"]
+                .iter()
+                .map(|n| weights.index()[n])
+                .collect();
+        for p in index {
+            // The entry with the largest gradient.
+            let g = &pass.gradients[p];
+            let k = (0..g.len()).max_by(|&a, &b| g[a].abs().total_cmp(&g[b].abs())).unwrap();
+            let h = 2e-3;
+            let mut at = |step: f32| {
+                let old = weights.params[p].values[k];
+                weights.params[p].values[k] = old + step;
+                let total = differentiate(&weights, &episode(), how, &solver).total;
+                weights.params[p].values[k] = old;
+                total
+            };
+            let numeric = (at(h) - at(-h)) / f64::from(2.0 * h);
+            let exact = f64::from(g[k]);
+            assert!(
+                (numeric - exact).abs() < 2e-4 + 0.05 * exact.abs(),
+                "{}[{k}]: {numeric} {exact}",
+                weights.params[p].name
+            );
+        }
+    }
+}

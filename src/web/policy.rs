@@ -1,0 +1,82 @@
+//! The learned planner in JavaScript: a module of its own, fetched when it is first used.
+
+use super::{direction, fail, plain};
+use crate::policy;
+use crate::stack::Mask;
+use wasm_bindgen::prelude::*;
+
+#[wasm_bindgen(typescript_custom_section)]
+const TYPES: &str = r#"
+/** What a policy's files say of themselves. */
+export interface PolicyInfo {
+  /** Identity of the trained network. */
+  network: string;
+  /** How it was trained, one line. */
+  note: string;
+  size: string;
+  /** Side of the input frame and of the gate map, pixels. */
+  input: number;
+  gating: boolean;
+  transformer: boolean;
+  /** Most pictures a sequence may have. */
+  maxFrames: number;
+}
+"#;
+
+/// A loaded policy, ready to plan for any number of objects.
+#[wasm_bindgen]
+pub struct PolicyRunner {
+    policy: policy::Policy,
+    run: Option<policy::Sequence>,
+}
+
+#[wasm_bindgen]
+impl PolicyRunner {
+    /// Loads the two ONNX files of a policy (the bytes of `encoder.onnx` and `step.onnx`).
+    #[wasm_bindgen(constructor)]
+    pub fn new(encoder: Vec<u8>, step: Vec<u8>) -> Result<Self, JsError> {
+        let policy = policy::Policy::load(&policy::ModelFiles { encoder, step }).map_err(fail)?;
+        Ok(Self { policy, run: None })
+    }
+
+    /// What the files say of themselves.
+    #[wasm_bindgen(unchecked_return_type = "PolicyInfo")]
+    pub fn info(&self) -> Result<JsValue, JsError> {
+        let header = self.policy.header();
+        let c = &header.config;
+        plain(&serde_json::json!({
+            "network": header.network,
+            "note": header.note,
+            "size": c.size,
+            "input": c.input,
+            "gating": c.gating,
+            "transformer": c.transformer,
+            "maxFrames": c.max_frames,
+        }))
+    }
+
+    /// Begins an object: its mask (a byte for each pixel of a `width × height` image, not 0 on the object) and the largest
+    /// slant of a light, degrees.
+    pub fn start(&mut self, mask: &[u8], width: u32, height: u32, reach: f32) -> Result<(), JsError> {
+        let inside: Vec<bool> = mask.iter().map(|&m| m != 0).collect();
+        let mask = Mask::new(width, height, &inside).map_err(fail)?;
+        self.run = Some(self.policy.start(&mask, reach.to_radians()));
+        Ok(())
+    }
+
+    /// Takes in the newest picture (the direction of its light; linear RGB of the mask pixels, three numbers each) and
+    /// gives the next direction. The first picture's light is the caller's choice: (0, 0, 1) as in training.
+    pub fn observe(&mut self, light: &[f32], rgb: &[f32]) -> Result<Vec<f32>, JsError> {
+        let light = direction(light)?;
+        let run = self.run.as_mut().ok_or_else(|| fail("call start with the object's mask first"))?;
+        let next = run.observe(rgb.as_chunks().0, light).map_err(fail)?;
+        Ok(next.to_array().to_vec())
+    }
+
+    /// The gate of the newest picture, `input × input` numbers in 0..1 (1: trusted), over the square around the mask;
+    /// undefined for a network without gate or before the first picture.
+    #[wasm_bindgen(unchecked_return_type = "Float32Array | undefined")]
+    pub fn gate(&self) -> Option<Vec<f32>> {
+        Some(self.run.as_ref()?.gate()?.to_vec())
+    }
+}
