@@ -65,6 +65,8 @@
  * @property {Picture} image the last picture taken
  * @property {Picture | null} normals null before three lights
  * @property {Picture | null} errors null before three lights and without truth
+ * @property {Picture | null} expected the solver's own estimate of its error; null where it has none
+ * @property {number | null} expectedMean degrees
  * @property {number | null} mae degrees
  * @property {number} unknown pixels without a true normal, which count as 90°
  * @property {number} invalid pixels with too few usable values

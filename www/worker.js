@@ -118,6 +118,8 @@ const answers = {
       image: take(observations.photo(observations.count - 1, 4096)),
       normals: solution && take(solution.normalsPicture()),
       errors: optional(solution?.errorPicture(scale)),
+      expected: optional(solution?.uncertaintyPicture(scale)),
+      expectedMean: solution?.expectedError ?? null,
       mae: solution?.mae ?? null,
       unknown: solution?.unknown ?? 0,
       invalid: solution?.invalid ?? 0,

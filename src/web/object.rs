@@ -1,6 +1,6 @@
 //! Datasets: names and bytes in, an object out, with the images decoded wherever the caller likes.
 
-use super::{fail, stack::Stack};
+use super::{directions, fail, flat, stack::Stack};
 use crate::dataset::archive::{self, Zip};
 use crate::dataset::diligent::{self, Header};
 use crate::dataset::{Files, Limits, Memory};
@@ -85,6 +85,31 @@ pub struct ObjectHeader {
 
 #[wasm_bindgen]
 impl ObjectHeader {
+    /// Of images that are not in files. `mask` has a byte for each pixel of a `width × height` image, not 0 on the
+    /// object; `names` are those of the images, `lights` and `intensities` have three numbers for each (towards the
+    /// light; RGB gain), `truth` three for each mask pixel (the unit normal), or is left out.
+    #[allow(clippy::too_many_arguments)]
+    pub fn of(
+        name: String,
+        width: u32,
+        height: u32,
+        mask: &[u8],
+        names: Vec<String>,
+        lights: &[f32],
+        intensities: &[f32],
+        truth: Option<Vec<f32>>,
+    ) -> Result<ObjectHeader, JsError> {
+        let inside: Vec<bool> = mask.iter().map(|&m| m != 0).collect();
+        let mask = Mask::new(width, height, &inside).map_err(fail)?;
+        let lights = directions(lights)?;
+        let intensities = directions(intensities)?.iter().map(glam::Vec3::to_array).collect();
+        let truth = truth.map(|t| directions(&t)).transpose()?;
+        let pixels = names.iter().map(|_| None).collect();
+        let (dir, warnings, images) = (String::new(), Vec::new(), names);
+        let header = Header { dir, name, mask, images, lights, intensities, truth, warnings };
+        Ok(Self { header, pixels })
+    }
+
     /// Names of the image files, with their folder, in the order of the lights.
     #[wasm_bindgen(getter)]
     #[must_use]
@@ -223,6 +248,44 @@ impl CapturedObject {
     #[must_use]
     pub fn truth(&self) -> bool {
         self.0.truth.is_some()
+    }
+
+    /// The object's pixels: a byte for each pixel of the image, 1 or 0.
+    #[must_use]
+    pub fn mask(&self) -> Vec<u8> {
+        self.0.mask.scatter(&vec![1; self.0.mask.len()], 0)
+    }
+
+    /// Names of the images.
+    #[must_use]
+    pub fn names(&self) -> Vec<String> {
+        self.0.names.clone()
+    }
+
+    /// Directions towards the lights, three numbers for each image.
+    #[must_use]
+    pub fn lights(&self) -> Vec<f32> {
+        flat(&self.0.lights)
+    }
+
+    /// RGB gains of the lights, three numbers for each image.
+    #[must_use]
+    pub fn intensities(&self) -> Vec<f32> {
+        self.0.intensities.as_flattened().to_vec()
+    }
+
+    /// True normals, three numbers for each mask pixel, where they are known.
+    #[wasm_bindgen(js_name = trueNormals)]
+    #[must_use]
+    pub fn true_normals(&self) -> Option<Vec<f32>> {
+        self.0.truth.as_deref().map(flat)
+    }
+
+    /// RGB code values of the mask pixels of image `k`.
+    pub fn image(&self, k: usize) -> Result<Vec<u16>, JsError> {
+        let image =
+            self.0.images.get(k).ok_or_else(|| fail(format!("image {k} of {}", self.0.images.len())))?;
+        Ok(image.as_flattened().to_vec())
     }
 
     /// The object as the files of a DiLiGenT folder, in a zip archive that any reader of DiLiGenT can unpack.

@@ -31,6 +31,11 @@ export function mountMaps(root, { page, store, actions }) {
   const relit = figure("relit", "Relit", "Drag the sun on the dome once there are normals");
   grid.append(image.element, normals.element, errors.element, relit.element);
 
+  const kind = html("select", { class: "kind", "aria-label": "Error shown" },
+    html("option", { value: "errors" }, "Angular error"), html("option", { value: "expected" }, "Expected error"));
+  errors.element.querySelector("b")?.replaceWith(kind);
+  kind.addEventListener("change", () => showErrors());
+
   const bar = html("canvas", { width: 128, height: 1, "aria-hidden": "true" });
   const top = html("span", { class: "number" });
   errors.element.append(html("div", { class: "scale" }, html("span", { class: "number" }, "0°"), bar, top));
@@ -72,7 +77,7 @@ export function mountMaps(root, { page, store, actions }) {
       });
       canvas.addEventListener("pointerleave", () => { readout.textContent = ""; });
     }
-    return { element, show };
+    return { element, show, hint };
   }
 
   const look = newestOnly(async (/** @type {number} */ x, /** @type {number} */ y) => {
@@ -86,9 +91,20 @@ export function mountMaps(root, { page, store, actions }) {
     const step = runs.get(shown.planner)?.[shown.step - 1]?.step;
     image.show(view?.image ?? null, step?.name ?? `light ${shown.step}`);
     normals.show(view?.normals ?? null, `from ${shown.step} lights${view?.invalid ? `, ${view.invalid} pixels unsolved` : ""}`);
-    const mean = typeof view?.mae === "number" ? `mean ${view.mae.toFixed(2)}°` : "";
-    errors.show(view?.errors ?? null, view?.unknown ? `${mean}, ${view.unknown} pixels without truth` : mean);
+    if (view && !view.errors && view.expected) kind.value = "expected";
+    showErrors();
   });
+
+  /** The error against the truth, or what the solver itself expects it to be. */
+  function showErrors() {
+    const { view } = store.state;
+    const expected = kind.value === "expected";
+    const mean = expected ? view?.expectedMean : view?.mae;
+    const text = typeof mean === "number" ? `mean ${mean.toFixed(2)}°` : "";
+    errors.show((expected ? view?.expected : view?.errors) ?? null, view?.unknown && !expected ? `${text}, ${view.unknown} pixels without truth` : text);
+    errors.hint.textContent = expected ? "This solver does not say how sure it is" : "Errors need true normals and three lights";
+  }
+
   store.watch(["relit"], ({ relit: picture, sun }) => {
     const { azimuth, slant } = angles(sun);
     relit.show(picture, `${azimuth.toFixed(0)}°, ${slant.toFixed(0)}°`);
