@@ -52,38 +52,59 @@ export function mountResults(root, { page, store, actions }) {
       scroll.replaceChildren(html("p", { class: "empty-note" }, running ? "Running…" : "No result yet: choose planners and press Run."));
       return;
     }
-    const best = Math.min(...rows.filter(row => !row.oracle && row.mae !== null && row.planner !== "all").map(row => row.mae ?? Infinity));
-    const solvers = new Set(rows.map(row => row.solver)).size > 1;
-    const blended = rows.some(row => (row.effective_images ?? 1) > 1.01);
-    const head = ["Planner", ...(solvers ? ["Solver"] : []), "T", "MAE", "95 % interval", ...(blended ? ["Photos"] : []), "Off by"];
     const place = (/** @type {ResultRow} */ row) => ran?.planners.indexOf(row.planner) ?? 0;
-    const body = [...rows].sort((a, b) => place(a) - place(b)).map(row => {
-      const chosen = row.planner === shown.planner && row.solver === shown.solver;
-      const line = html("tr", {
-        style: seriesColour(row.planner), class: [chosen && "chosen", row.mae !== null && row.mae <= best && !row.oracle && "best", row.error && "failed"].filter(Boolean).join(" ") || null,
-      });
-      const show = html("button", { type: "button", class: "link", "aria-pressed": String(chosen) }, swatch(row.planner), label(catalogue, row.planner));
-      show.addEventListener("click", () => actions.show({ planner: row.planner, solver: row.solver }));
+    const solvers = [...new Set(rows.map(row => row.solver))];
+    const blended = rows.some(row => (row.effective_images ?? 1) > 1.01);
+    const fair = rows.filter(row => !row.oracle && row.planner !== "all");
+    const best = Math.min(...fair.flatMap(row => row.mae ?? []));
+    const head = ["Planner", "T", ...(solvers.length > 1 ? solvers.map(solverLabel) : ["MAE", "95 % interval"]), ...(blended ? ["Photos"] : []), "Off by"];
+    const planners = Map.groupBy([...rows].sort((a, b) => place(a) - place(b)), row => row.planner);
+    const body = [...planners].map(([planner, group]) => {
+      const [first] = group;
+      const chosen = planner === shown.planner;
+      const line = html("tr", { style: seriesColour(planner), class: [chosen && "chosen", first.error && "failed"].filter(Boolean).join(" ") || null });
+      const show = html("button", { type: "button", class: "link", "aria-pressed": String(chosen) }, swatch(planner), label(catalogue, planner));
+      show.addEventListener("click", () => actions.show({ planner }));
       line.append(html("th", { scope: "row" }, show));
-      if (row.error) {
-        line.append(html("td", { colspan: head.length - 1 }, row.error));
+      if (group.every(row => row.error)) {
+        line.append(html("td", { colspan: head.length - 1 }, first.error ?? ""));
         return line;
       }
-      if (solvers) line.append(html("td", {}, solverLabel(row.solver)));
+      line.append(html("td", {}, String(first.lights)));
+      if (solvers.length > 1) for (const row of group) line.append(cell(row));
+      else line.append(html("td", { class: mark(first) }, degrees(first.mae)), html("td", {}, interval(first)));
       line.append(
-        html("td", {}, String(row.lights)),
-        html("td", { class: "mae" }, row.mae === null ? "unknown" : `${row.mae.toFixed(2)}°`),
-        html("td", {}, interval(row)),
-        ...(blended ? [html("td", {}, row.effective_images?.toFixed(1) ?? "")] : []),
-        html("td", {}, row.deviation === null ? "" : `${row.deviation.toFixed(1)}°`),
+        ...(blended ? [html("td", {}, first.effective_images?.toFixed(1) ?? "")] : []),
+        html("td", {}, first.deviation === null ? "" : `${first.deviation.toFixed(1)}°`),
       );
       return line;
     });
+
+    /** @param {ResultRow} row */
+    function mark(row) {
+      return row.mae !== null && row.mae <= best && !row.oracle ? "best" : null;
+    }
+
+    /** One planner with one solver, which a click shows. @param {ResultRow} row */
+    function cell(row) {
+      if (row.error) return html("td", {}, row.error);
+      const pressed = row.planner === shown.planner && row.solver === shown.solver;
+      const half = row.ci95 ? (row.ci95[1] - row.ci95[0]) / 2 : 0;
+      const show = html("button", { type: "button", class: "link", "aria-pressed": String(pressed), "aria-label": `${degrees(row.mae)}, ${label(catalogue, row.planner)}, ${solverLabel(row.solver)}` }, degrees(row.mae));
+      show.addEventListener("click", () => actions.show({ planner: row.planner, solver: row.solver }));
+      return html("td", { class: mark(row), title: half ? `± ${half.toFixed(2)}° (95 %)` : null }, show);
+    }
+
     const caption = ran ? `Mean angular error over ${ran.draws} ${ran.draws === 1 ? "run" : "runs"}, protocol ${ran.protocol}, look-up ${ran.lookups.join(", ")}, seed ${ran.seed}. “Off by”: mean angle between the light asked for and the light used.` : "";
     note.textContent = caption;
     scroll.replaceChildren(html("table", { "aria-labelledby": "results-title", "aria-describedby": "results-note" },
       html("thead", {}, html("tr", {}, ...head.map(text => html("th", { scope: "col" }, text)))), html("tbody", {}, ...body)));
   });
+}
+
+/** @param {number | null} mae */
+function degrees(mae) {
+  return mae === null ? "unknown" : `${mae.toFixed(2)}°`;
 }
 
 /** @param {ResultRow} row */
