@@ -1,7 +1,8 @@
 //! Results as pictures for people: 8-bit RGBA, cropped to the object, transparent around it.
 
 use crate::stack::{Mask, Stack};
-use glam::Vec3;
+use crate::surface::Surface;
+use glam::{Mat3, Vec3};
 
 /// 8-bit RGBA in sRGB, row by row from the top.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -263,6 +264,62 @@ impl Relit {
     }
 }
 
+/// A surface seen from the side, as clay under a light from the upper left: `size × size` pixels, turned by `yaw`
+/// about the vertical axis and by `tilt` about the horizontal one (radians).
+#[must_use]
+pub fn surface(surface: &Surface, yaw: f32, tilt: f32, size: u32) -> Picture {
+    let turn = Mat3::from_rotation_x(tilt) * Mat3::from_rotation_y(yaw);
+    let light = Vec3::new(-0.45, 0.55, 0.7).normalize();
+    let radius = surface.positions.iter().map(|p| p.length()).fold(1e-6, f32::max);
+    let (half, scale) = (size as f32 / 2.0, 0.48 * size as f32 / radius);
+    let corners: Vec<Vec3> = surface
+        .positions
+        .iter()
+        .map(|&p| {
+            let q = turn * p * scale;
+            Vec3::new(half + q.x, half - q.y, q.z)
+        })
+        .collect();
+    let shades: Vec<f32> =
+        surface.normals.iter().map(|&n| 0.18 + 0.82 * (turn * n).dot(light).max(0.0)).collect();
+    let tone = Tone::new(1.0);
+    let mut depth = vec![f32::NEG_INFINITY; (size * size) as usize];
+    let mut rgba = vec![0; 4 * depth.len()];
+    for triangle in &surface.triangles {
+        let [a, b, c] = triangle.map(|v| corners[v as usize]);
+        let area = (b - a).truncate().perp_dot((c - a).truncate());
+        if area.abs() < 1e-6 {
+            continue; // seen edge-on
+        }
+        // Seen from behind, the inside of the relief is shown darker.
+        let front = if area < 0.0 { 1.0 } else { 0.45 };
+        let column = |v: f32| (v.max(0.0) as u32).min(size - 1);
+        let (low, high) = (a.min(b).min(c), a.max(b).max(c));
+        for y in column(low.y)..=column(high.y) {
+            for x in column(low.x)..=column(high.x) {
+                let p = glam::Vec2::new(x as f32 + 0.5, y as f32 + 0.5) - a.truncate();
+                let v = p.perp_dot((c - a).truncate()) / area;
+                let w = (b - a).truncate().perp_dot(p) / area;
+                // A little beyond the border, so that no gap shows between neighbours.
+                if v < -0.02 || w < -0.02 || v + w > 1.02 {
+                    continue;
+                }
+                let at = (y * size + x) as usize;
+                let z = a.z + v * (b.z - a.z) + w * (c.z - a.z);
+                if z <= depth[at] {
+                    continue;
+                }
+                depth[at] = z;
+                let [sa, sb, sc] = triangle.map(|i| shades[i as usize]);
+                let shade = front * (sa + v * (sb - sa) + w * (sc - sa));
+                let [r, g, b] = tone.rgb([0.86, 0.82, 0.76].map(|k| k * shade));
+                rgba[4 * at..4 * at + 4].copy_from_slice(&[r, g, b, 255]);
+            }
+        }
+    }
+    Picture { width: size, height: size, rgba }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -320,6 +377,20 @@ mod tests {
         assert_eq!((tone.byte(0.0), tone.byte(2.0), tone.byte(9.0)), (0, 255, 255));
         assert_eq!(tone.byte(2.0 * 0.214_04), 127);
         assert_eq!((tone.byte(f32::NAN), tone.byte(-1.0)), (0, 0));
+    }
+
+    #[test]
+    fn a_surface_turns_and_its_back_is_dark() {
+        let mask = Mask::full(21, 21).unwrap();
+        let flat = Surface::new(&mask, &vec![0.0; 441], &vec![Vec3::Z; 441], &[], 9.0);
+        let seen = |yaw: f32| surface(&flat, yaw, 0.0, 64);
+        let area = |p: &Picture| p.rgba.chunks(4).filter(|px| px[3] == 255).count() as f32;
+        let bright = |p: &Picture| p.rgba.chunks(4).map(|px| px[0]).max().unwrap();
+        let (front, side, back) = (seen(0.0), seen(1.2), seen(std::f32::consts::PI));
+        assert!((area(&side) / area(&front) - libm::cosf(1.2)).abs() < 0.06);
+        assert_eq!(area(&back), area(&front));
+        assert!(bright(&back) < bright(&front) / 2);
+        assert_eq!(front.rgba[4 * (32 * 64 + 32) + 3], 255, "no gap in the middle");
     }
 
     #[test]

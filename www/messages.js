@@ -85,13 +85,14 @@
  * @property {{ body: {}, reply: Catalogue, progress: never }} catalogue
  * @property {{ body: { source: Source }, reply: ObjectInfo, progress: { done: number, total: number, what: string } }} open
  * @property {{ body: { protocol: string }, reply: StackInfo, progress: never }} prepare
- * @property {{ body: { settings: Settings }, reply: Report, progress: { done: number, total: number, step: RunStep | null, row: ResultRow[] } }} run
+ * @property {{ body: { settings: Settings }, reply: Report, progress: { done: number, total: number, what?: string, step: RunStep | null, row: ResultRow[] } }} run
  * @property {{ body: { asked: Direction[], lookup: string, solver: string, scale: number }, reply: StepView, progress: never }} view
  * @property {{ body: { light: Direction }, reply: Picture | null, progress: never }} relight
+ * @property {{ body: { yaw: number, tilt: number, size: number }, reply: Picture | null, progress: never }} surface
  * @property {{ body: { index: number, size: number }, reply: Picture, progress: never }} photo
  * @property {{ body: { x: number, y: number }, reply: PixelInfo | null, progress: never }} pixel
  * @property {{ body: { scale: number, width: number }, reply: Picture, progress: never }} colours
- * @property {{ body: { what: "normals" | "errors" | "image" | "relit" | "lp" | "object" }, reply: { bytes: ArrayBuffer, type: string, name: string }, progress: never }} export
+ * @property {{ body: { what: "normals" | "errors" | "image" | "relit" | "lp" | "object" | "glb" | "ply" }, reply: { bytes: ArrayBuffer, type: string, name: string }, progress: never }} export
  */
 
 /** @typedef {keyof Calls} Kind */

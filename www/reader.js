@@ -1,10 +1,7 @@
 // Reads an object from files: the small ones here, the images in parallel by decoders.
 
-import { ObjectFiles } from "./pkg/core/coil_ps.js";
-
 /** @typedef {import("./messages.js").NamedFile} NamedFile */
 /** @typedef {import("./messages.js").DecoderReply} DecoderReply */
-/** @typedef {import("./pkg/core/coil_ps.js").ObjectHeader} ObjectHeader */
 
 /** More decoders than this gain nothing: one worker puts the images together. */
 const MOST_DECODERS = 8;
@@ -91,18 +88,19 @@ export class Decoders {
 const SMALL = /(^|\/)(mask\.png|[^/]+\.(txt|mat))$/i;
 
 /**
+ * @param {typeof import("./pkg/core/coil_ps.js")} lib the build to read with
  * @param {NamedFile[]} files
  * @param {string | null} wanted name of the object; null for the first
  * @param {Decoders} decoders
  * @param {AbortSignal} signal
  * @param {(progress: { done: number, total: number, what: string }) => void} progress
  */
-export async function readObject(files, wanted, decoders, signal, progress) {
+export async function readObject(lib, files, wanted, decoders, signal, progress) {
   progress({ done: 0, total: 1, what: "looking at the files" });
   const starting = decoders.start();
   const archive = files.length === 1 && /\.zip$/i.test(files[0].path) ? files[0].file : null;
   const byPath = new Map(archive ? [] : files.map(({ path, file }) => [path, file]));
-  const listed = archive ? ObjectFiles.zip(await bytesOf(archive), archive.name) : new ObjectFiles();
+  const listed = archive ? lib.ObjectFiles.zip(await bytesOf(archive), archive.name) : new lib.ObjectFiles();
   for (const path of byPath.keys()) listed.list(path);
   const folders = listed.objects();
   const folder = folders.find(name => shortName(name) === wanted) ?? folders[0] ?? "";

@@ -1,8 +1,9 @@
 // The worker that computes everything: it owns the object, its stack and what is shown of it. Requests are answered
 // as they come; a run pauses between its slices, so that others are answered meanwhile, and an abort is heard.
 
-import init, { Capture, catalogue, colourBar, Evaluation, families, materials } from "./pkg/core/coil_ps.js";
+import * as core from "./pkg/core/coil_ps.js";
 import { Decoders, readObject } from "./reader.js";
+import { LEARNED, loadFull } from "./learned.js";
 
 /** @typedef {import("./messages.js").Calls} Calls */
 /** @typedef {import("./messages.js").Kind} Kind */
@@ -13,6 +14,8 @@ import { Decoders, readObject } from "./reader.js";
 /** Pixels of the small pictures along a run. */
 const THUMBNAIL = 104;
 
+/** Steps of the surface higher than this, in pixels, are breaks. */
+const CLIFF = 6;
 /** Width of rendered objects, pixels. */
 const RENDERED = 160;
 /** Families of one sculpture only. */
@@ -22,15 +25,21 @@ const SLICE_MS = 30;
 
 /** Compiled once; decoders get it by message. */
 const compiled = WebAssembly.compileStreaming(fetch(new URL("pkg/core/coil_ps_bg.wasm", import.meta.url)));
-const ready = compiled.then(module => init({ module_or_path: module }));
+const ready = compiled.then(module => core.default({ module_or_path: module }));
 const decoders = new Decoders(compiled);
+
+/** The build in use: the small one, until a learned planner is asked for. Objects of one are of no use to the other. */
+let lib = core;
+/** The trained planners that were loaded. @type {import("./learned.js").Models | null} */
+let models = null;
 
 const state = {
   /** @type {import("./pkg/core/coil_ps.js").CapturedObject | null} */
   object: null,
   /** @type {import("./pkg/core/coil_ps.js").Stack | null} */
   stack: null,
-  /** @type {{ observations: import("./pkg/core/coil_ps.js").Observations, solution: import("./pkg/core/coil_ps.js").Solution | null, scale: number } | null} */
+  protocol: "official",
+  /** @type {{ observations: import("./pkg/core/coil_ps.js").Observations, solution: import("./pkg/core/coil_ps.js").Solution | null, surface: import("./pkg/core/coil_ps.js").Surface | null, scale: number } | null} */
   shown: null,
   /** @type {import("./pkg/core/coil_ps.js").Relit | null} */
   relit: null,
@@ -48,13 +57,13 @@ const state = {
 const answers = {
   catalogue() {
     const pair = (/** @type {string} */ line) => /** @type {[string, string]} */ (line.split(": "));
-    return { ...catalogue(), families: families().map(pair), materials: materials() };
+    return { ...lib.catalogue(), families: lib.families().map(pair), materials: lib.materials() };
   },
 
   async open({ source }, { signal, progress }) {
     const start = performance.now();
     const opened = source.kind === "files"
-      ? await readObject(source.files, source.object, decoders, signal, progress)
+      ? await readObject(lib, source.files, source.object, decoders, signal, progress)
       : { object: await photograph(source, signal, progress), notes: [], objects: [] };
     signal.throwIfAborted();
     const { object, notes, objects } = opened;
@@ -69,6 +78,7 @@ const answers = {
     const stack = needed(state.object, "open an object first").prepare(protocol);
     forget();
     state.stack = stack;
+    state.protocol = protocol;
     const { width, height, pixels, truth, reach } = stack;
     const flat = stack.lights();
     const lights = Array.from({ length: flat.length / 3 }, (_, i) => /** @type {Direction} */ ([...flat.subarray(3 * i, 3 * i + 3)]));
@@ -76,8 +86,12 @@ const answers = {
   },
 
   async run({ settings }, { signal, progress }) {
-    const evaluation = new Evaluation(needed(state.stack, "open an object first"), settings);
+    needed(state.stack, "open an object first");
+    const learned = settings.planners.filter(name => name in LEARNED);
+    if (learned.length) await learn(learned, signal, what => progress({ done: 0, total: 0, what, step: null, row: [] }));
+    const evaluation = new lib.Evaluation(needed(state.stack, "open an object first"), settings);
     try {
+      if (models) models.lend(evaluation);
       const total = evaluation.total;
       let rows = 0;
       for (let done = 0; done < total; done += 1) {
@@ -112,7 +126,7 @@ const answers = {
       if (asked.length >= 5) throw error;
     }
     release();
-    state.shown = { observations, solution, scale };
+    state.shown = { observations, solution, scale, surface: null };
     state.relit = solution?.relit() ?? null;
     return {
       image: take(observations.photo(observations.count - 1, 4096)),
@@ -131,6 +145,10 @@ const answers = {
     return optional(state.relit?.under(new Float32Array(light))); // a newer view may have no normals
   },
 
+  surface({ yaw, tilt, size }) {
+    return optional(surface()?.picture(yaw, tilt, size));
+  },
+
   photo({ index, size }) {
     return take(needed(state.stack, "open an object first").photo(index, size));
   },
@@ -143,7 +161,7 @@ const answers = {
   },
 
   colours({ width }) {
-    return take(colourBar(width));
+    return take(lib.colourBar(width));
   },
 
   async export({ what }) {
@@ -158,6 +176,8 @@ const answers = {
       case "normals": return file(solved().normalsPng(), "image/png", "normals.png");
       case "errors": return file(needed(solved().errorPng(scale), "the true normals are not known"), "image/png", `error-0-${scale}deg.png`);
       case "image": return png(observations.photo(observations.count - 1, 4096), "picture.png");
+      case "glb": return file(needed(surface(), "there are no normals yet").write("glb"), "model/gltf-binary", "surface.glb");
+      case "ply": return file(needed(surface(), "there are no normals yet").write("ply"), "application/octet-stream", "surface.ply");
       case "relit": return png(needed(state.relit, "there are no normals yet").under(new Float32Array(state.sun)), "relit.png");
     }
   },
@@ -172,8 +192,8 @@ const answers = {
 async function photograph(source, signal, progress) {
   progress({ done: 0, total: 1, what: "preparing the shape" });
   const capture = source.kind === "mesh"
-    ? Capture.mesh(source.file.name, new Uint8Array(await source.file.arrayBuffer()), source.material, RENDERED)
-    : Capture.sculpture(UNSEEDED.includes(source.family) ? source.family : `${source.family}:${source.seed}`, source.material, RENDERED);
+    ? lib.Capture.mesh(source.file.name, new Uint8Array(await source.file.arrayBuffer()), source.material, RENDERED)
+    : lib.Capture.sculpture(UNSEEDED.includes(source.family) ? source.family : `${source.family}:${source.seed}`, source.material, RENDERED);
   let next = performance.now();
   while (capture.done < capture.total) {
     capture.takeNext();
@@ -187,10 +207,39 @@ async function photograph(source, signal, progress) {
   return capture.finish();
 }
 
+/**
+ * Makes sure that trained planners are there: the build that can run them, with the object in it, and their files.
+ * @param {string[]} planners
+ * @param {AbortSignal} signal
+ * @param {(what: string) => void} progress
+ */
+async function learn(planners, signal, progress) {
+  if (!models) {
+    const loaded = await loadFull(signal, progress);
+    const object = state.object && loaded.adopt(state.object);
+    forget();
+    state.object?.free();
+    state.object = object;
+    lib = loaded.lib;
+    models = loaded.models;
+    state.stack = object?.prepare(state.protocol) ?? null;
+  }
+  for (const name of planners) await models.load(name, signal, progress);
+}
+
+/** The surface of what is shown, integrated when it is first asked for. */
+function surface() {
+  const { shown } = state;
+  if (!shown?.solution) return null;
+  shown.surface ??= shown.solution.surface(CLIFF);
+  return shown.surface;
+}
+
 /** Frees what is shown. */
 function release() {
   state.shown?.observations.free();
   state.shown?.solution?.free();
+  state.shown?.surface?.free();
   state.relit?.free();
   state.shown = state.relit = null;
 }

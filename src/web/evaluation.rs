@@ -108,7 +108,7 @@ impl Evaluation {
         let (of, settings) = (&self.of, &self.settings);
         let mut watch = |seen: &[Observation]| {
             if spec.draw == 0 && failed.is_none() {
-                failed = report_step(of, settings, seen, size, on_step).err();
+                failed = report_step(of, settings, seen, spec.lights, size, on_step).err();
             }
         };
         let run = table::run_watched(&Subject::Stack(&of.stack), &spec, &settings.solvers, None, &mut watch);
@@ -136,6 +136,7 @@ fn report_step(
     of: &Prepared,
     settings: &Settings,
     seen: &[Observation],
+    lights: usize,
     size: u32,
     on_step: &js_sys::Function,
 ) -> Result<(), JsError> {
@@ -152,6 +153,10 @@ fn report_step(
         .solvers
         .iter()
         .map(|name| {
+            // Seconds a solution: only the last step is worth that.
+            if name == "pixel" && seen.len() < lights {
+                return None;
+            }
             let truth = of.stack.truth.as_ref()?;
             // Less than three lights, or lights in one plane: no normals yet.
             let solution = solve::by_name(name).ok()?.solve(&Measurements::of(seen)).ok()?;

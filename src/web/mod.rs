@@ -21,7 +21,7 @@ pub use policy::PolicyRunner;
 #[cfg(feature = "render")]
 pub use render::{Capture, families, materials};
 pub use session::Session;
-pub use stack::{Observations, Relit, Solution, Stack};
+pub use stack::{Observations, Relit, Solution, Stack, Surface};
 
 use glam::Vec3;
 use serde::Serialize;

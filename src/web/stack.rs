@@ -8,8 +8,9 @@ use crate::error;
 use crate::eval::plot;
 use crate::light;
 use crate::relight::{Lookup, StackCamera};
-use crate::solve::{self, Measurements, Validity};
+use crate::solve::{self, Measurements, Validity, uncertainty};
 use crate::stack::{BitDepth, Mask};
+use crate::surface::{self, Integration};
 use crate::view::{self, Tone};
 use glam::Vec3;
 use std::rc::Rc;
@@ -154,7 +155,9 @@ impl Observations {
     /// Normals from all of them.
     pub fn solve(&self, solver: &str) -> Result<Solution, JsError> {
         let solver = solve::by_name(solver).map_err(fail)?;
-        let solution = solver.solve(&Measurements::of(&self.seen)).map_err(fail)?;
+        let measurements = Measurements::of(&self.seen);
+        let mut solution = solver.solve(&measurements).map_err(fail)?;
+        uncertainty::complete(&measurements, &mut solution).map_err(fail)?;
         let errors = self.of.stack.truth.as_ref().map(|truth| error::error_map(&solution.normals, truth));
         Ok(Solution { of: Rc::clone(&self.of), solution, errors })
     }
@@ -278,12 +281,40 @@ impl Solution {
         self.errors.as_ref().map(|e| plot::error_map(self.mask(), e, scale).map_err(fail)).transpose()
     }
 
+    /// The surface whose normals these are, left open where it breaks by more than `cliff` pixels. Takes seconds for
+    /// large objects.
+    pub fn surface(&self, cliff: f32) -> Result<Surface, JsError> {
+        let normals = &self.solution.normals;
+        let depth =
+            surface::integrate(self.mask(), normals, &Integration::default(), || false).map_err(fail)?;
+        let albedo = &self.solution.albedo;
+        Ok(Surface(surface::Surface::new(self.mask(), &depth.heights, normals, albedo, cliff)))
+    }
+
     /// The solved object, ready for any light.
     #[must_use]
     pub fn relit(&self) -> Relit {
         let Prepared { stack, tone, tint } = &*self.of;
         let Self { solution, .. } = self;
         Relit(view::Relit::new(&stack.mask, &solution.normals, &solution.albedo, tint, tone.clone()))
+    }
+}
+
+/// A solved object's surface: one vertex a pixel, x right, y up, z towards the camera, in pixels.
+#[wasm_bindgen]
+pub struct Surface(surface::Surface);
+
+#[wasm_bindgen]
+impl Surface {
+    /// Seen from the side, turned by `yaw` and `tilt` degrees: `size × size` pixels.
+    #[must_use]
+    pub fn picture(&self, yaw: f32, tilt: f32, size: u32) -> Picture {
+        Picture(view::surface(&self.0, yaw.to_radians(), tilt.to_radians(), size))
+    }
+
+    /// A mesh file: `ply`, `obj` or `glb`.
+    pub fn write(&self, format: &str) -> Result<Vec<u8>, JsError> {
+        Ok(self.0.write(format.parse().map_err(fail)?))
     }
 }
 

@@ -35,7 +35,7 @@ import { mountSettings } from "./settings_panel.js";
  * @property {ObjectInfo | null} object
  * @property {StackInfo | null} stack
  * @property {{ done: number, total: number, what: string } | null} opening
- * @property {{ done: number, total: number } | null} running
+ * @property {{ done: number, total: number, what?: string } | null} running
  * @property {Map<string, RunStep[]>} runs first run of every planner, step by step
  * @property {ResultRow[]} rows the table so far
  * @property {Report | null} report the table when it is complete
@@ -201,10 +201,10 @@ function makeActions(page, store) {
         const planners = [planner, ...settings.planners.filter(name => name !== planner)];
         const made = await engine.call("run", { settings: { ...settings, planners } }, {
           signal,
-          onProgress: ({ done, total, step, row }) => {
+          onProgress: ({ done, total, what, step, row }) => {
             if (signal.aborted) return;
             const { runs, rows, shown: now } = store.state;
-            store.update({ running: { done, total }, ...(row.length ? { rows: [...rows, ...row] } : {}) });
+            store.update({ running: { done, total, what }, ...(row.length ? { rows: [...rows, ...row] } : {}) });
             if (!step) return;
             const steps = [...(runs.get(step.name) ?? []), step];
             store.update({ runs: new Map(runs).set(step.name, steps) });

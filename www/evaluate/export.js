@@ -19,6 +19,8 @@ export const EXPORTS = [
   { name: "Normals (16-bit PNG)", ready: solved, save: (page, state) => saveFromWorker(page, state, "normals") },
   { name: "Error map (PNG)", ready: state => Boolean(state.view?.errors), save: (page, state) => saveFromWorker(page, state, "errors") },
   { name: "Picture (PNG)", ready: state => state.view !== null, save: (page, state) => saveFromWorker(page, state, "image") },
+  { name: "Surface (glTF)", ready: solved, save: (page, state) => saveFromWorker(page, state, "glb") },
+  { name: "Surface (PLY)", ready: solved, save: (page, state) => saveFromWorker(page, state, "ply") },
   { name: "Relit picture (PNG)", ready: state => state.relit !== null, save: (page, state) => saveFromWorker(page, state, "relit") },
 ];
 

@@ -1,7 +1,7 @@
 // What one step gives: the picture, the normals, their error, and the object under another light.
 
 import { newestOnly } from "../store.js";
-import { draw, find, html } from "../svg.js";
+import { draw, find, html, set } from "../svg.js";
 import { angles } from "../dome.js";
 import { savePicture } from "./export.js";
 
@@ -10,6 +10,8 @@ import { savePicture } from "./export.js";
 
 /** Upper ends of the error map's scale, degrees. */
 const SCALES = [10, 20, 30, 45, 90];
+/** Width of the surface, pixels. */
+const SURFACE = 360;
 
 /**
  * @param {HTMLElement} root
@@ -77,7 +79,7 @@ export function mountMaps(root, { page, store, actions }) {
       });
       canvas.addEventListener("pointerleave", () => { readout.textContent = ""; });
     }
-    return { element, show, hint };
+    return { element, canvas, show, hint };
   }
 
   const look = newestOnly(async (/** @type {number} */ x, /** @type {number} */ y) => {
@@ -105,10 +107,52 @@ export function mountMaps(root, { page, store, actions }) {
     errors.hint.textContent = expected ? "This solver does not say how sure it is" : "Errors need true normals and three lights";
   }
 
-  store.watch(["relit"], ({ relit: picture, sun }) => {
+  const side = html("select", { class: "kind", "aria-label": "Result shown" },
+    html("option", { value: "relit" }, "Relit"), html("option", { value: "surface" }, "Surface"));
+  relit.element.querySelector("b")?.replaceWith(side);
+  side.addEventListener("change", () => showSide());
+  const turn = { yaw: -28, tilt: 18 };
+
+  /** The object under the sun, or its surface from the side. */
+  function showSide() {
+    const surface = side.value === "surface";
+    set(relit.canvas, surface
+      ? { role: "application", tabindex: 0, "aria-roledescription": "turnable surface" }
+      : { role: "img", tabindex: null, "aria-roledescription": null });
+    relit.element.classList.toggle("turnable", surface);
+    if (surface) return drawSurface();
+    const { relit: picture, sun } = store.state;
     const { azimuth, slant } = angles(sun);
     relit.show(picture, `${azimuth.toFixed(0)}°, ${slant.toFixed(0)}°`);
+  }
+
+  const drawSurface = newestOnly(async () => {
+    if (!store.state.view?.normals) return relit.show(null, "");
+    try {
+      const picture = await page.engine.call("surface", { ...turn, size: SURFACE });
+      if (side.value === "surface") relit.show(picture, "drag or arrow keys turn it");
+    } catch (error) {
+      page.problem("The surface can't be shown", error);
+    }
   });
+
+  const turnBy = (/** @type {number} */ yaw, /** @type {number} */ tilt) => {
+    turn.yaw += yaw;
+    turn.tilt = Math.min(Math.max(turn.tilt + tilt, -89), 89);
+    drawSurface();
+  };
+  relit.canvas.addEventListener("pointermove", event => {
+    if (side.value === "surface" && event.buttons & 1) turnBy(event.movementX / 2, event.movementY / 2);
+  });
+  relit.canvas.addEventListener("keydown", event => {
+    const arrow = { ArrowLeft: [-5, 0], ArrowRight: [5, 0], ArrowUp: [0, -5], ArrowDown: [0, 5] }[event.key];
+    if (!arrow) return;
+    event.preventDefault();
+    turnBy(arrow[0], arrow[1]);
+  });
+
+  store.watch(["relit"], () => { if (side.value === "relit") showSide(); });
+  store.watch(["view"], () => { if (side.value === "surface") showSide(); });
   store.watch(["scale", "catalogue"], async ({ scale, catalogue }) => {
     choice.value = String(scale);
     top.textContent = `${scale}°`;

@@ -1,0 +1,101 @@
+// The trained planners: a second build of the core that can run networks, and their files. Fetched when first used.
+
+/** @typedef {typeof import("./pkg/core/coil_ps.js")} Lib */
+/** @typedef {import("./pkg/core/coil_ps.js").CapturedObject} CapturedObject */
+/** @typedef {import("./pkg/core/coil_ps.js").Evaluation} Evaluation */
+
+/**
+ * What only the second build has.
+ * @typedef {object} PolicyModels
+ * @property {(name: string, encoder: Uint8Array, step: Uint8Array) => void} add
+ *
+ * @typedef {{ Models: new () => PolicyModels }} Learning
+ */
+
+/** Planners with a network, and the folders of their files. @type {Record<string, string>} */
+export const LEARNED = {
+  coil: "compact",
+  "coil-no-gate": "compact-no-gate",
+  "coil-no-transformer": "compact-no-transformer",
+  "coil-blank": "compact-blank",
+};
+
+const MODULE = new URL("pkg/policy/coil_ps.js", import.meta.url);
+
+/** The trained planners that are loaded. */
+export class Models {
+  #models;
+  #loaded = new Set();
+
+  /** @param {PolicyModels} models */
+  constructor(models) {
+    this.#models = models;
+  }
+
+  /**
+   * Fetches a planner's two files, if that was not done.
+   * @param {string} name
+   * @param {AbortSignal} signal
+   * @param {(what: string) => void} progress
+   */
+  async load(name, signal, progress) {
+    if (this.#loaded.has(name)) return;
+    progress(`fetching the network of ${name}`);
+    const [encoder, step] = await Promise.all(["encoder", "step"].map(async part => {
+      const reply = await fetch(new URL(`models/${LEARNED[name]}/${part}.onnx`, import.meta.url), { signal });
+      if (!reply.ok) throw new Error(`the trained network of ${name} is not there: ${part}.onnx, status ${reply.status}`);
+      return new Uint8Array(await reply.arrayBuffer());
+    }));
+    progress(`loading the network of ${name}`);
+    this.#models.add(name, encoder, step);
+    this.#loaded.add(name);
+  }
+
+  /** Lets an evaluation use them. @param {Evaluation} evaluation */
+  lend(evaluation) {
+    /** @type {Evaluation & { useModels(models: PolicyModels): void }} */ (evaluation).useModels(this.#models);
+  }
+}
+
+/**
+ * Fetches and starts the second build.
+ * @param {AbortSignal} signal
+ * @param {(what: string) => void} progress
+ */
+export async function loadFull(signal, progress) {
+  progress("fetching the runtime for learned planners");
+  await built(signal, progress);
+  const lib = /** @type {Lib & Learning} */ (await import(String(MODULE)));
+  await lib.default({ module_or_path: new URL("pkg/policy/coil_ps_bg.wasm", import.meta.url) });
+  signal.throwIfAborted();
+  return { lib, models: new Models(new lib.Models()), adopt: (/** @type {CapturedObject} */ object) => adopt(lib, object) };
+}
+
+/**
+ * Waits while the server that came with this page still compiles the module.
+ * @param {AbortSignal} signal
+ * @param {(what: string) => void} progress
+ */
+async function built(signal, progress) {
+  for (;;) {
+    const reply = await fetch(new URL("build-status.json", import.meta.url), { signal, cache: "no-store" }).catch(() => null);
+    const policy = reply?.ok ? (await reply.json().catch(() => null))?.modules?.policy : null;
+    if (policy?.state === "failed") throw new Error(`the module for learned planners was not built: ${policy.message}`);
+    if (policy?.state !== "building" && policy?.state !== "waiting") return;
+    progress(policy.state === "building" ? `the server compiles the learned planners (${policy.seconds} s)` : "the learned planners are compiled next");
+    await new Promise(resolve => setTimeout(resolve, 1000));
+    signal.throwIfAborted();
+  }
+}
+
+/**
+ * The same object in another build, which has a memory of its own.
+ * @param {Lib} lib
+ * @param {CapturedObject} object
+ */
+function adopt(lib, object) {
+  const { name, width, height, bits, images } = object;
+  const header = lib.ObjectHeader.of(name, width, height, object.mask(), object.names(), object.lights(), object.intensities(), object.trueNormals());
+  for (let k = 0; k < images; k += 1) header.put(k, bits, object.image(k));
+  return header.assemble();
+}
