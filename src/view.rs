@@ -152,6 +152,16 @@ pub fn photo(mask: &Mask, grey: &[f32], rgb: &[[f32; 3]], tone: &Tone) -> Pictur
     }
 }
 
+/// A picture with its untrusted pixels in magenta: `trust` is 1 where a pixel is believed, 0 where not.
+#[must_use]
+pub fn gated(mask: &Mask, grey: &[f32], trust: &[f32], tone: &Tone) -> Picture {
+    const DOUBT: [f32; 3] = [214.0, 64.0, 170.0];
+    Frame::around(mask).paint(mask, |p| {
+        let (value, doubt) = (f32::from(tone.byte(grey[p])), (1.0 - trust[p]).clamp(0.0, 1.0));
+        DOUBT.map(|d| (value + 0.8 * doubt * (d - value)) as u8)
+    })
+}
+
 /// Normals as colours: (x, y, z) from −1…1 to 0…255, the convention of all papers.
 #[must_use]
 pub fn normals(mask: &Mask, normals: &[Vec3]) -> Picture {
@@ -340,6 +350,14 @@ mod tests {
         let inside = 4 * (picture.width as usize + 1);
         assert_eq!(picture.rgba[inside..inside + 4], [128, 128, 255, 255]);
         assert_eq!(picture.rgba.chunks(4).filter(|px| px[3] == 255).count(), mask.len());
+    }
+
+    #[test]
+    fn doubt_is_magenta() {
+        let mask = Mask::full(2, 1).unwrap();
+        let picture = gated(&mask, &[1.0, 1.0], &[1.0, 0.0], &Tone::new(1.0));
+        assert_eq!(picture.rgba[..3], [255, 255, 255]);
+        assert!(picture.rgba[5] < 110 && picture.rgba[4] > 200, "{:?}", &picture.rgba);
     }
 
     #[test]

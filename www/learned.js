@@ -3,11 +3,18 @@
 /** @typedef {typeof import("./pkg/core/coil_ps.js")} Lib */
 /** @typedef {import("./pkg/core/coil_ps.js").CapturedObject} CapturedObject */
 /** @typedef {import("./pkg/core/coil_ps.js").Evaluation} Evaluation */
+/** @typedef {import("./pkg/core/coil_ps.js").Observations} Observations */
 
 /**
  * What only the second build has.
  * @typedef {object} PolicyModels
  * @property {(name: string, encoder: Uint8Array, step: Uint8Array) => void} add
+ * @property {(name: string, observations: Observations) => Insight | undefined} insight
+ *
+ * @typedef {object} Insight
+ * @property {(observations: Observations, i: number) => Float32Array} observe
+ * @property {(observations: Observations) => import("./pkg/core/coil_ps.js").Picture | undefined} gatePicture
+ * @property {() => void} free
  *
  * @typedef {{ Models: new () => PolicyModels }} Learning
  */
@@ -49,6 +56,15 @@ export class Models {
     progress(`loading the network of ${name}`);
     this.#models.add(name, encoder, step);
     this.#loaded.add(name);
+  }
+
+  /**
+   * A network at work; undefined where it is not loaded.
+   * @param {string} name
+   * @param {Observations} observations
+   */
+  insight(name, observations) {
+    return this.#models.insight(name, observations);
   }
 
   /** Lets an evaluation use them. @param {Evaluation} evaluation */

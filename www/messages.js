@@ -71,6 +71,12 @@
  * @property {number} unknown pixels without a true normal, which count as 90°
  * @property {number} invalid pixels with too few usable values
  *
+ * A learned planner at work on the pictures that are shown.
+ * @typedef {object} Insight
+ * @property {Picture | null} gate the last picture with what the network does not trust in magenta; null without gate
+ * @property {Direction} next where it wants the next light
+ * @property {number[]} milliseconds that it took for each picture
+ *
  * The value of the pixel under the pointer.
  * @typedef {object} PixelInfo
  * @property {number} x column in the image
@@ -87,6 +93,7 @@
  * @property {{ body: { protocol: string }, reply: StackInfo, progress: never }} prepare
  * @property {{ body: { settings: Settings }, reply: Report, progress: { done: number, total: number, what?: string, step: RunStep | null, row: ResultRow[] } }} run
  * @property {{ body: { asked: Direction[], lookup: string, solver: string, scale: number }, reply: StepView, progress: never }} view
+ * @property {{ body: { planner: string }, reply: Insight | null, progress: never }} insight
  * @property {{ body: { light: Direction }, reply: Picture | null, progress: never }} relight
  * @property {{ body: { yaw: number, tilt: number, size: number }, reply: Picture | null, progress: never }} surface
  * @property {{ body: { index: number, size: number }, reply: Picture, progress: never }} photo

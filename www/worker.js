@@ -140,6 +140,23 @@ const answers = {
     };
   },
 
+  insight({ planner }) {
+    const observations = state.shown?.observations;
+    const insight = observations && models?.insight(planner, observations);
+    if (!insight) return null;
+    /** @type {number[]} */
+    const milliseconds = [];
+    let next = new Float32Array(3);
+    for (let i = 0; i < observations.count; i += 1) {
+      const start = performance.now();
+      next = insight.observe(observations, i);
+      milliseconds.push(performance.now() - start);
+    }
+    const gate = optional(insight.gatePicture(observations));
+    insight.free();
+    return { gate, next: [next[0], next[1], next[2]], milliseconds };
+  },
+
   relight({ light }) {
     state.sun = light;
     return optional(state.relit?.under(new Float32Array(light))); // a newer view may have no normals

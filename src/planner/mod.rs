@@ -161,7 +161,6 @@ pub const PLANNERS: &[Info] = &[
         online: false,
         oracle: false,
     },
-    #[cfg(feature = "policy")]
     Info {
         name: "coil",
         label: "COIL-PS",
@@ -170,7 +169,6 @@ pub const PLANNERS: &[Info] = &[
         online: true,
         oracle: false,
     },
-    #[cfg(feature = "policy")]
     Info {
         name: "coil-no-gate",
         label: "COIL-PS without gate",
@@ -179,7 +177,6 @@ pub const PLANNERS: &[Info] = &[
         online: true,
         oracle: false,
     },
-    #[cfg(feature = "policy")]
     Info {
         name: "coil-no-transformer",
         label: "COIL-PS without transformer",
@@ -188,7 +185,6 @@ pub const PLANNERS: &[Info] = &[
         online: true,
         oracle: false,
     },
-    #[cfg(feature = "policy")]
     Info {
         name: "coil-blank",
         label: "COIL-PS, blanked",

@@ -54,6 +54,17 @@ impl Crop {
         cells
     }
 
+    /// Values of the cells laid back on the mask pixels: the opposite of [`Crop::average`].
+    #[must_use]
+    pub fn spread(&self, cells: &[f32], pixels: usize) -> Vec<f32> {
+        let (mut values, mut covered) = (vec![0.0; pixels], vec![0.0; pixels]);
+        for &(pixel, cell, share) in &self.shares {
+            values[pixel as usize] += share * cells[cell as usize];
+            covered[pixel as usize] += share;
+        }
+        values.iter().zip(&covered).map(|(v, c)| if *c > 0.0 { v / c } else { 0.0 }).collect()
+    }
+
     /// The input frame `[3, side, side]` of linear RGB mask pixels divided by `white`, limited to [`CEILING`].
     #[must_use]
     pub fn frame(&self, rgb: &[[f32; 3]], white: f32) -> Vec<f32> {

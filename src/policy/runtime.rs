@@ -123,6 +123,12 @@ impl Sequence {
         self.gate.as_deref()
     }
 
+    /// [`gate`](Self::gate) at every mask pixel.
+    #[must_use]
+    pub fn trust(&self) -> Option<Vec<f32>> {
+        Some(self.crop.spread(self.gate.as_ref()?, self.pixels))
+    }
+
     /// Pictures taken in.
     #[must_use]
     pub fn seen(&self) -> usize {

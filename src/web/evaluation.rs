@@ -5,7 +5,7 @@ use super::{fail, plain};
 use crate::camera::Observation;
 use crate::error;
 use crate::eval::{Report, Run, RunSpec, Settings, Subject, table};
-use crate::planner::PLANNERS;
+use crate::planner::{Learned, PLANNERS};
 use crate::session::SessionError;
 use crate::solve::{self, Measurements, SOLVERS};
 use glam::Vec3;
@@ -43,6 +43,7 @@ pub struct Evaluation {
     settings: Settings,
     specs: Vec<RunSpec>,
     runs: Vec<(RunSpec, Result<Run, SessionError>)>,
+    learned: Option<Rc<dyn Learned>>,
 }
 
 #[derive(Serialize)]
@@ -65,7 +66,14 @@ impl Evaluation {
     ) -> Result<Self, JsError> {
         let settings: Settings = serde_wasm_bindgen::from_value(settings).map_err(fail)?;
         let specs = settings.runs().map_err(fail)?;
-        Ok(Self { of: Rc::clone(&stack.0), settings, specs, runs: Vec::new() })
+        Ok(Self { of: Rc::clone(&stack.0), settings, specs, runs: Vec::new(), learned: None })
+    }
+
+    /// Lends it trained planners.
+    #[cfg(feature = "policy")]
+    #[wasm_bindgen(js_name = useModels)]
+    pub fn use_models(&mut self, models: &super::Models) {
+        self.learned = Some(models.shared());
     }
 
     /// Number of runs.
@@ -111,7 +119,13 @@ impl Evaluation {
                 failed = report_step(of, settings, seen, spec.lights, size, on_step).err();
             }
         };
-        let run = table::run_watched(&Subject::Stack(&of.stack), &spec, &settings.solvers, None, &mut watch);
+        let run = table::run_watched(
+            &Subject::Stack(&of.stack),
+            &spec,
+            &settings.solvers,
+            self.learned.as_deref(),
+            &mut watch,
+        );
         if let Some(error) = failed {
             return Err(error);
         }

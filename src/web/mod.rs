@@ -17,7 +17,7 @@ pub use evaluation::{Evaluation, catalogue};
 pub use object::{CapturedObject, ObjectFiles, ObjectHeader, Pixels, decode_pixels};
 pub use picture::{Picture, colour_bar};
 #[cfg(feature = "policy")]
-pub use policy::PolicyRunner;
+pub use policy::{Insight, Models, PolicyRunner};
 #[cfg(feature = "render")]
 pub use render::{Capture, families, materials};
 pub use session::Session;

@@ -1,8 +1,17 @@
 //! The learned planner in JavaScript: a module of its own, fetched when it is first used.
 
+use super::picture::Picture;
+use super::stack::Observations;
 use super::{direction, fail, plain};
+use crate::light;
+use crate::planner::coil::Coil;
+use crate::planner::{Learned, Planner};
 use crate::policy;
 use crate::stack::Mask;
+use crate::view;
+use glam::Vec3;
+use std::collections::BTreeMap;
+use std::rc::Rc;
 use wasm_bindgen::prelude::*;
 
 #[wasm_bindgen(typescript_custom_section)]
@@ -78,5 +87,76 @@ impl PolicyRunner {
     #[wasm_bindgen(unchecked_return_type = "Float32Array | undefined")]
     pub fn gate(&self) -> Option<Vec<f32>> {
         Some(self.run.as_ref()?.gate()?.to_vec())
+    }
+}
+
+/// Trained planners by name, for an [`Evaluation`](super::Evaluation).
+#[wasm_bindgen]
+#[derive(Default)]
+pub struct Models(Rc<Policies>);
+
+#[derive(Clone, Default)]
+struct Policies(BTreeMap<String, policy::Policy>);
+
+impl Learned for Policies {
+    fn planner(&self, name: &str, start: Vec3) -> Option<Box<dyn Planner>> {
+        let policy = self.0.get(name)?.clone();
+        Some(match name {
+            "coil-blank" => Box::new(Coil::blank(policy, start)),
+            _ => Box::new(Coil::new(policy, start)),
+        })
+    }
+}
+
+impl Models {
+    pub(super) fn shared(&self) -> Rc<dyn Learned> {
+        self.0.clone()
+    }
+}
+
+#[wasm_bindgen]
+impl Models {
+    /// None yet.
+    #[wasm_bindgen(constructor)]
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Loads the planner `name` from its two ONNX files (`encoder.onnx` and `step.onnx`).
+    pub fn add(&mut self, name: String, encoder: Vec<u8>, step: Vec<u8>) -> Result<(), JsError> {
+        let policy = policy::Policy::load(&policy::ModelFiles { encoder, step }).map_err(fail)?;
+        Rc::make_mut(&mut self.0).0.insert(name, policy);
+        Ok(())
+    }
+
+    /// What the planner `name` makes of pictures; undefined where it is not loaded.
+    #[must_use]
+    pub fn insight(&self, name: &str, pictures: &Observations) -> Option<Insight> {
+        let stack = &pictures.of.stack;
+        let run = self.0.0.get(name)?.start(&stack.mask, light::reach(&stack.lights));
+        Some(Insight(run))
+    }
+}
+
+/// The network at work on one object.
+#[wasm_bindgen]
+pub struct Insight(policy::Sequence);
+
+#[wasm_bindgen]
+impl Insight {
+    /// Takes in picture `i`, and gives the direction in which the network wants the next light.
+    pub fn observe(&mut self, pictures: &Observations, i: usize) -> Result<Vec<f32>, JsError> {
+        let o =
+            pictures.seen.get(i).ok_or_else(|| fail(format!("picture {i} of {}", pictures.seen.len())))?;
+        Ok(self.0.observe(&o.rgb, o.light).map_err(fail)?.to_array().to_vec())
+    }
+
+    /// The newest picture with what the network's gate does not trust in magenta; undefined for one without gate.
+    #[wasm_bindgen(js_name = gatePicture)]
+    #[must_use]
+    pub fn gate_picture(&self, pictures: &Observations) -> Option<Picture> {
+        let (trust, o) = (self.0.trust()?, pictures.seen.get(self.0.seen().checked_sub(1)?)?);
+        Some(Picture(view::gated(&pictures.of.stack.mask, &o.grey, &trust, &pictures.of.tone)))
     }
 }

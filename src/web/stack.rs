@@ -23,7 +23,7 @@ pub struct Stack(pub(super) Rc<Prepared>);
 /// A stack with what its pictures need.
 pub(super) struct Prepared {
     pub(super) stack: crate::stack::Stack,
-    tone: Tone,
+    pub(super) tone: Tone,
     tint: Vec<[f32; 3]>,
 }
 
@@ -121,8 +121,8 @@ impl Stack {
 /// Pictures of one object, in the order in which they were taken.
 #[wasm_bindgen]
 pub struct Observations {
-    of: Rc<Prepared>,
-    seen: Vec<Observation>,
+    pub(super) of: Rc<Prepared>,
+    pub(super) seen: Vec<Observation>,
 }
 
 #[wasm_bindgen]

@@ -40,6 +40,7 @@ export function mountDome(root, { page, store, actions }) {
       <button type="button" class="button small play" aria-label="Play the steps" disabled>Play</button>
     </div>
     <p class="caption"></p>
+    <p class="caption thought"></p>
     <ol class="strip" aria-label="Pictures taken, in order" tabindex="0"></ol>`;
   const host = find(root, ".host", HTMLElement);
   const planner = find(root, ".planner", HTMLSelectElement);
@@ -47,6 +48,7 @@ export function mountDome(root, { page, store, actions }) {
   const scrub = find(root, "#scrub", HTMLInputElement);
   const output = find(root, "output", HTMLOutputElement);
   const caption = find(root, ".caption", HTMLElement);
+  const thought = find(root, ".thought", HTMLElement);
   const strip = find(root, ".strip", HTMLElement);
   const play = find(root, ".play", HTMLButtonElement);
   const tip = html("div", { class: "dome-tip", hidden: true });
@@ -142,6 +144,12 @@ export function mountDome(root, { page, store, actions }) {
     output.textContent = now ? `Step ${shown.step} of ${steps.length}` : "No run yet";
     caption.replaceChildren(...(now ? describe(now, shown.solver) : []));
     scrub.setAttribute("aria-valuetext", now ? caption.textContent ?? "" : "no run yet");
+  });
+  store.watch(["insight"], ({ insight }) => {
+    if (!insight) return thought.replaceChildren();
+    const sorted = insight.milliseconds.toSorted((a, b) => a - b);
+    thought.replaceChildren("The network next asks for ", html("b", {}, spoken(insight.next)),
+      `; a step takes it ${sorted[sorted.length >> 1].toFixed(0)} ms (median).`);
   });
   store.watch(["sun"], ({ sun, view }) => { if (view) dome.update({ sun }); });
   store.watch(["relit", "view"], ({ relit, view }) => {

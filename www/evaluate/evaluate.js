@@ -2,6 +2,7 @@
 
 import { DEFAULTS, fromHash, toHash } from "../settings.js";
 import { isAbort } from "../engine.js";
+import { LEARNED } from "../learned.js";
 import { newestOnly, Store } from "../store.js";
 import { find } from "../svg.js";
 import { mountChart } from "./chart.js";
@@ -14,6 +15,7 @@ import { mountSettings } from "./settings_panel.js";
 /** @typedef {import("../main.js").Page} Page */
 /** @typedef {import("../messages.js").Catalogue} Catalogue */
 /** @typedef {import("../messages.js").Direction} Direction */
+/** @typedef {import("../messages.js").Insight} Insight */
 /** @typedef {import("../messages.js").ObjectInfo} ObjectInfo */
 /** @typedef {import("../messages.js").Picture} Picture */
 /** @typedef {import("../messages.js").Report} Report */
@@ -42,6 +44,7 @@ import { mountSettings } from "./settings_panel.js";
  * @property {Settings | null} ran what the table was made with
  * @property {Shown} shown
  * @property {StepView | null} view
+ * @property {Insight | null} insight the learned planner that is shown, at work
  * @property {number} scale of the error map, degrees
  * @property {Direction} sun
  * @property {Picture | null} relit
@@ -65,7 +68,7 @@ export async function mount(root, page) {
     catalogue: null, settings, source: sculpture, object: null, stack: null, opening: null, running: null,
     runs: new Map(), rows: [], report: null, ran: null,
     shown: { planner: "", solver: settings.solvers[0], step: 0 },
-    view: null, scale: 30, sun: FIRST_SUN, relit: null,
+    view: null, insight: null, scale: 30, sun: FIRST_SUN, relit: null,
   }));
   const actions = makeActions(page, store);
   const panel = { page, store, actions };
@@ -114,8 +117,19 @@ function makeActions(page, store) {
     try {
       store.update({ view: await engine.call("view", { asked, lookup: ran.lookups[0], solver, scale }) });
       relight();
+      if (planner in LEARNED) look();
+      else store.update({ insight: null });
     } catch (error) {
       page.problem("This step can't be shown", error);
+    }
+  });
+
+  const look = newestOnly(async () => {
+    if (store.state.running) return store.update({ insight: null }); // the run needs the worker
+    try {
+      store.update({ insight: await engine.call("insight", { planner: store.state.shown.planner }) });
+    } catch (error) {
+      page.problem("The planner can't be watched", error);
     }
   });
 
@@ -190,7 +204,7 @@ function makeActions(page, store) {
       const solver = settings.solvers.includes(shown.solver) ? shown.solver : settings.solvers[0];
       let following = true;
       store.update({
-        running: { done: 0, total: 1 }, runs: new Map(), rows: [], report: null, ran: settings, view: null, relit: null,
+        running: { done: 0, total: 1 }, runs: new Map(), rows: [], report: null, ran: settings, view: null, insight: null, relit: null,
         shown: { planner, solver, step: 0 },
       });
       page.announce("Running.");
@@ -221,7 +235,10 @@ function makeActions(page, store) {
         if (isAbort(error) && running.signal === signal) page.announce("The run was cancelled.");
         page.problem("The run has failed", error);
       } finally {
-        if (running.signal === signal) store.update({ running: null });
+        if (running.signal === signal) {
+          store.update({ running: null });
+          if (store.state.shown.planner in LEARNED && store.state.view) look();
+        }
       }
     },
 

@@ -33,6 +33,11 @@ export function mountMaps(root, { page, store, actions }) {
   const relit = figure("relit", "Relit", "Drag the sun on the dome once there are normals");
   grid.append(image.element, normals.element, errors.element, relit.element);
 
+  const gate = html("option", { value: "gate", disabled: true }, "Gate of the network");
+  const taken = html("select", { class: "kind", "aria-label": "Picture shown" }, html("option", { value: "image" }, "Picture"), gate);
+  image.element.querySelector("b")?.replaceWith(taken);
+  taken.addEventListener("change", () => showTaken());
+
   const kind = html("select", { class: "kind", "aria-label": "Error shown" },
     html("option", { value: "errors" }, "Angular error"), html("option", { value: "expected" }, "Expected error"));
   errors.element.querySelector("b")?.replaceWith(kind);
@@ -89,13 +94,26 @@ export function mountMaps(root, { page, store, actions }) {
       + (pixel.error === null ? "" : `, error ${pixel.error.toFixed(2)}°`);
   });
 
-  store.watch(["view"], ({ view, runs, shown }) => {
-    const step = runs.get(shown.planner)?.[shown.step - 1]?.step;
-    image.show(view?.image ?? null, step?.name ?? `light ${shown.step}`);
+  store.watch(["view"], ({ view, shown }) => {
+    showTaken();
     normals.show(view?.normals ?? null, `from ${shown.step} lights${view?.invalid ? `, ${view.invalid} pixels unsolved` : ""}`);
     if (view && !view.errors && view.expected) kind.value = "expected";
     showErrors();
   });
+
+  store.watch(["insight"], ({ insight }) => {
+    gate.disabled = !insight?.gate;
+    if (gate.disabled) taken.value = "image";
+    showTaken();
+  });
+
+  /** The last picture, or what a learned planner believes of it. */
+  function showTaken() {
+    const { view, insight, runs, shown } = store.state;
+    if (taken.value === "gate") return image.show(insight?.gate ?? null, "magenta: not trusted");
+    const step = runs.get(shown.planner)?.[shown.step - 1]?.step;
+    image.show(view?.image ?? null, step?.name ?? `light ${shown.step}`);
+  }
 
   /** The error against the truth, or what the solver itself expects it to be. */
   function showErrors() {

@@ -1,10 +1,12 @@
 // The page in a real browser: what a user sees and does, with mouse, keyboard and screen reader.
 
 import assert from "node:assert/strict";
+import { existsSync } from "node:fs";
 import { readFile } from "node:fs/promises";
 import { after, before, test } from "node:test";
 import { createRequire } from "node:module";
-import { launch, openPage, servePage, tableDone } from "./support.js";
+import { join } from "node:path";
+import { launch, openPage, ROOT, servePage, tableDone, TARGET } from "./support.js";
 
 /** @typedef {import("playwright-core").Page} Page */
 
@@ -295,6 +297,57 @@ test("what is exported is what is shown", async () => {
     }
     const [drawing] = await Promise.all([page.waitForEvent("download"), page.locator("#dome .save").click()]);
     assert.match(await readFile(await drawing.path(), "utf8"), /^<svg [\s\S]*<image /);
+  });
+});
+
+test("planners by solvers make a matrix, and each cell shows its run", async () => {
+  await withPage(QUICK.replace("draws=2", "draws=2&solvers=ls,trimmed,sbr"), async page => {
+    await tableDone(page);
+    assert.deepEqual(await page.locator("#results thead th").allInnerTexts(), ["Planner", "T", "Least squares", "Trimmed", "Sparse Bayes", "Off by"]);
+    const rows = await table(page);
+    assert.equal(rows.length, 2);
+    for (const row of rows) for (const cell of row.slice(2, 5)) assert.match(cell, /^\d+\.\d\d°$/);
+    await page.getByRole("button", { name: /Random, Trimmed$/ }).click();
+    assert.equal(await page.locator("#dome select.solver").inputValue(), "trimmed");
+    assert.equal(await page.locator("#dome select.planner").inputValue(), "random");
+    await page.getByLabel("Error shown").selectOption("expected");
+    await page.waitForFunction(() => /mean \d/.test(document.querySelector(".map-errors .note")?.textContent ?? ""));
+    assert.ok(await isPainted(page, ".map-errors .frame canvas"), "the solver's own estimate");
+  });
+});
+
+test("the surface is integrated, turned with keys, and saved as a mesh", async () => {
+  await withPage(QUICK, async page => {
+    await tableDone(page);
+    await page.getByLabel("Result shown").selectOption("surface");
+    await page.waitForFunction(() => document.querySelector(".map-relit canvas")?.getAttribute("width") === "360");
+    assert.ok(await isPainted(page, ".map-relit .frame canvas"));
+    const canvas = page.locator(".map-relit .frame canvas");
+    const picture = () => canvas.evaluate(c => /** @type {HTMLCanvasElement} */ (c).toDataURL());
+    const before = await picture();
+    await canvas.focus();
+    await page.keyboard.press("ArrowRight");
+    await page.waitForFunction(old => /** @type {HTMLCanvasElement} */ (document.querySelector(".map-relit canvas")).toDataURL() !== old, before);
+    await page.locator("#results .menu summary").click();
+    const [file] = await Promise.all([page.waitForEvent("download"), page.getByRole("button", { name: "Surface (glTF)" }).click()]);
+    assert.equal((await readFile(await file.path())).subarray(0, 4).toString(), "glTF");
+  });
+});
+
+test("the learned planner runs in the page and shows its gate and its speed", async t => {
+  if (!existsSync(join(TARGET, "page/pkg/policy/coil_ps_bg.wasm")) || !existsSync(join(ROOT, "models/compact/encoder.onnx"))) {
+    if (process.env.CI) throw new Error("the policy's module or model is missing: run coil serve --build-only");
+    return t.skip("the policy's module or model is not there");
+  }
+  await withPage(QUICK.replace("random,dc05v", "coil"), async page => {
+    await tableDone(page, 120_000);
+    const [row] = await table(page);
+    assert.equal(row[0], "COIL-PS");
+    assert.match(row[2], /^\d+\.\d\d°$/);
+    await page.waitForFunction(() => /a step takes it \d+ ms/.test(document.querySelector(".thought")?.textContent ?? ""));
+    console.log(await page.locator(".thought").innerText());
+    await page.getByLabel("Picture shown").selectOption("gate");
+    assert.equal(await page.locator(".map-image .note").innerText(), "magenta: not trusted");
   });
 });
 

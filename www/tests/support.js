@@ -22,7 +22,7 @@ export async function servePage() {
   }
   const server = createServer(async (request, response) => {
     const path = normalize(decodeURIComponent(new URL(request.url ?? "/", "http://localhost").pathname)).replace(/\/$/, "/index.html");
-    for (const folder of SERVED) {
+    for (const folder of path.startsWith("/models/") ? [ROOT] : SERVED) {
       const file = join(folder, path);
       if (!(await stat(file).catch(() => null))?.isFile()) continue;
       const type = TYPES[/** @type {keyof typeof TYPES} */ (extname(file))] ?? "application/octet-stream";

@@ -30,8 +30,11 @@ pub struct Module {
 }
 
 /// All modules of the page, in the order in which they are built.
-pub const MODULES: [Module; 1] =
-    [Module { name: "core", features: "render", profile: "wasm", needed_at_once: true }];
+pub const MODULES: [Module; 2] = [
+    Module { name: "core", features: "render", profile: "wasm", needed_at_once: true },
+    // The core once more, with the runtime of learned planners: large, so fetched when the first of them is used.
+    Module { name: "policy", features: "render,policy", profile: "release", needed_at_once: false },
+];
 
 /// Names of [`MODULES`], for the command line.
 pub fn module_names() -> Vec<&'static str> {
@@ -194,6 +197,9 @@ impl Builder {
     fn pack(&self, module: &Module) -> anyhow::Result<()> {
         let compiled = self.target.join("wasm").join(TARGET).join(module.profile).join("coil_ps.wasm");
         let packed = self.packed(module);
+        if module.name == "policy" {
+            self.copy_models()?;
+        }
         if modified(&packed).is_some_and(|time| Some(time) > modified(&compiled)) {
             return Ok(());
         }
@@ -206,6 +212,23 @@ impl Builder {
             .status()
             .context("cannot start cargo")?;
         ensure!(status.success(), "pack could not write the JavaScript side of {}", module.name);
+        Ok(())
+    }
+
+    /// Puts the trained planners' networks, where there are any, beside the module that runs them.
+    fn copy_models(&self) -> anyhow::Result<()> {
+        let to = self.page_dir().join("models");
+        for entry in fs::read_dir(self.root.join("models")).context("cannot list models/")? {
+            let folder = entry?.path();
+            let Some(name) = folder.file_name().filter(|_| folder.join("step.onnx").is_file()) else {
+                continue;
+            };
+            fs::create_dir_all(to.join(name)).with_context(|| format!("cannot make {}", to.display()))?;
+            for file in ["encoder.onnx", "step.onnx"] {
+                let (source, copy) = (folder.join(file), to.join(name).join(file));
+                fs::copy(&source, &copy).with_context(|| format!("cannot copy {}", source.display()))?;
+            }
+        }
         Ok(())
     }
 
