@@ -15,7 +15,14 @@ const LASTING = /** @type {Kind[]} */ (["open", "prepare"]);
  * @typedef {{ signal?: AbortSignal, onProgress?: (progress: Calls[K]["progress"]) => void }} CallOptions
  */
 
-/** @typedef {{ resolve: (value: any) => void, reject: (error: Error) => void, onProgress?: (progress: any) => void }} Pending */
+/**
+ * @typedef {object} Pending
+ * @property {object} request as posted
+ * @property {AbortSignal} [signal]
+ * @property {(value: any) => void} resolve
+ * @property {(error: Error) => void} reject
+ * @property {(progress: any) => void} [onProgress]
+ */
 
 export class Engine {
   /** @type {Map<number, Pending>} */
@@ -60,13 +67,16 @@ export class Engine {
         setTimeout(() => this.#pending.has(id) && this.#restart(), PATIENCE_MS);
       };
       const settled = () => signal?.removeEventListener("abort", abort);
+      const request = { id, kind, ...body };
       this.#pending.set(id, {
+        request,
+        signal,
         resolve: value => { settled(); resolve(value); },
         reject: error => { settled(); reject(error); },
         onProgress,
       });
       signal?.addEventListener("abort", abort);
-      this.#worker.postMessage({ id, kind, ...body });
+      this.#worker.postMessage(request);
     });
   }
 
@@ -94,16 +104,21 @@ export class Engine {
     pending.reject(name === "AbortError" ? aborted() : Object.assign(new Error(message), { name }));
   }
 
-  /** Ends a worker that is deep in a computation, and gives a new one the same object. */
+  /** Ends a worker that is deep in a computation, and gives a new one the same object and what else was asked. */
   #restart() {
     this.#worker.terminate();
-    for (const { reject } of this.#pending.values()) reject(aborted());
-    this.#pending.clear();
+    const waiting = [...this.#pending.values()];
+    for (const [id, { signal, reject }] of this.#pending) {
+      if (!signal?.aborted) continue;
+      this.#pending.delete(id);
+      reject(aborted());
+    }
     this.#worker = this.#start();
     this.#restored = (async () => {
       for (const kind of LASTING) {
         if (this.#lasting.has(kind)) await this.#send(kind, this.#lasting.get(kind), {});
       }
+      for (const { request, signal } of waiting) if (!signal?.aborted) this.#worker.postMessage(request);
     })().catch(this.onCrash);
   }
 }

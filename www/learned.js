@@ -87,6 +87,18 @@ export async function loadFull(signal, progress) {
   return { lib, models: new Models(new lib.Models()), adopt: (/** @type {CapturedObject} */ object) => adopt(lib, object) };
 }
 
+/** What became of the second build; null where nothing is known of one. @param {AbortSignal} [signal] */
+async function status(signal) {
+  const reply = await fetch(new URL("build-status.json", import.meta.url), { signal, cache: "no-store" });
+  return reply.ok ? (await reply.json()).modules?.policy ?? null : null;
+}
+
+/** Whether learned planners can be offered: their module is there or on its way. */
+export async function hasLearned() {
+  const policy = await status().catch(() => null);
+  return policy !== null && policy.state !== "failed";
+}
+
 /**
  * Waits while the server that came with this page still compiles the module.
  * @param {AbortSignal} signal
@@ -94,8 +106,7 @@ export async function loadFull(signal, progress) {
  */
 async function built(signal, progress) {
   for (;;) {
-    const reply = await fetch(new URL("build-status.json", import.meta.url), { signal, cache: "no-store" }).catch(() => null);
-    const policy = reply?.ok ? (await reply.json().catch(() => null))?.modules?.policy : null;
+    const policy = await status(signal);
     if (policy?.state === "failed") throw new Error(`the module for learned planners was not built: ${policy.message}`);
     if (policy?.state !== "building" && policy?.state !== "waiting") return;
     progress(policy.state === "building" ? `the server compiles the learned planners (${policy.seconds} s)` : "the learned planners are compiled next");

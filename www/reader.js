@@ -6,7 +6,7 @@
 /** More decoders than this gain nothing: one worker puts the images together. */
 const MOST_DECODERS = 8;
 /** Images given to a decoder ahead, so that it never waits. */
-const AHEAD = 2;
+const AHEAD = 4;
 
 /** Workers that decode images. They stay: starting them takes as long as decoding several images. */
 export class Decoders {

@@ -3,7 +3,7 @@
 
 import * as core from "./pkg/core/coil_ps.js";
 import { Decoders, readObject } from "./reader.js";
-import { LEARNED, loadFull } from "./learned.js";
+import { hasLearned, LEARNED, loadFull } from "./learned.js";
 
 /** @typedef {import("./messages.js").Calls} Calls */
 /** @typedef {import("./messages.js").Kind} Kind */
@@ -55,9 +55,12 @@ const state = {
 
 /** @type {{ [K in Kind]: (body: Calls[K]["body"], context: Context<K>) => Promise<Calls[K]["reply"]> | Calls[K]["reply"] }} */
 const answers = {
-  catalogue() {
+  async catalogue() {
     const pair = (/** @type {string} */ line) => /** @type {[string, string]} */ (line.split(": "));
-    return { ...lib.catalogue(), families: lib.families().map(pair), materials: lib.materials() };
+    const all = lib.catalogue();
+    const learned = await hasLearned();
+    const planners = all.planners.filter(({ name }) => learned || !(name in LEARNED));
+    return { ...all, planners, families: lib.families().map(pair), materials: lib.materials() };
   },
 
   async open({ source }, { signal, progress }) {
@@ -85,33 +88,20 @@ const answers = {
     return { protocol, width, height, pixels, truth, reach, lights, names: stack.names() };
   },
 
+  // Learned planners come last: what they need is large, and the others need not wait for it.
   async run({ settings }, { signal, progress }) {
     needed(state.stack, "open an object first");
     const learned = settings.planners.filter(name => name in LEARNED);
-    if (learned.length) await learn(learned, signal, what => progress({ done: 0, total: 0, what, step: null, row: [] }));
-    const evaluation = new lib.Evaluation(needed(state.stack, "open an object first"), settings);
-    try {
-      if (models) models.lend(evaluation);
-      const total = evaluation.total;
-      let rows = 0;
-      for (let done = 0; done < total; done += 1) {
-        const planner = evaluation.nextPlanner ?? "";
-        evaluation.runNext(THUMBNAIL, (step, maes, small) => {
-          const thumbnail = take(small);
-          const mae = Object.fromEntries(settings.solvers.map((name, i) => [name, maes[i]]));
-          progress({ done, total, step: { name: planner, step, mae, thumbnail }, row: [] }, [thumbnail.data]);
-        });
-        // A planner's rows are complete when the next one begins.
-        const complete = evaluation.nextPlanner !== planner ? evaluation.report().results.slice(rows) : [];
-        rows += complete.length;
-        progress({ done: done + 1, total, step: null, row: complete });
-        await pause();
-        signal.throwIfAborted();
-      }
-      return evaluation.report();
-    } finally {
-      evaluation.free();
-    }
+    const plain = settings.planners.filter(name => !(name in LEARNED));
+    const whole = settings.planners.length;
+    /** @type {import("./messages.js").Report | null} */
+    let report = null;
+    if (plain.length) report = await compare({ ...settings, planners: plain }, 0, whole, signal, progress);
+    if (!learned.length) return needed(report, "no planner was chosen");
+    const say = (/** @type {string} */ what) => progress({ done: plain.length, total: whole, what, step: null, row: [] });
+    await learn(learned, signal, say);
+    const late = await compare({ ...settings, planners: learned }, plain.length, whole, signal, progress);
+    return { ...late, settings, results: [...(report?.results ?? []), ...late.results] };
   },
 
   // A run is nothing but the directions it asked for: its pictures can be had again at any step.
@@ -146,7 +136,8 @@ const answers = {
     if (!insight) return null;
     /** @type {number[]} */
     const milliseconds = [];
-    let next = new Float32Array(3);
+    /** @type {ArrayLike<number>} */
+    let next = [0, 0, 1];
     for (let i = 0; i < observations.count; i += 1) {
       const start = performance.now();
       next = insight.observe(observations, i);
@@ -222,6 +213,42 @@ async function photograph(source, signal, progress) {
     next = performance.now() + SLICE_MS;
   }
   return capture.finish();
+}
+
+/**
+ * Runs planners that are there; progress counts planners, beginning at `before`.
+ * @param {import("./messages.js").Settings} settings
+ * @param {number} before
+ * @param {number} whole
+ * @param {AbortSignal} signal
+ * @param {Context<"run">["progress"]} progress
+ */
+async function compare(settings, before, whole, signal, progress) {
+  const evaluation = new lib.Evaluation(needed(state.stack, "open an object first"), settings);
+  try {
+    models?.lend(evaluation);
+    const total = evaluation.total;
+    const at = (/** @type {number} */ runs) => ({ done: before + settings.planners.length * runs / total, total: whole });
+    let rows = 0;
+    for (let done = 0; done < total; done += 1) {
+      const planner = evaluation.nextPlanner ?? "";
+      evaluation.runNext(THUMBNAIL, (step, maes, small) => {
+        const thumbnail = take(small);
+        const mae = Object.fromEntries(settings.solvers.map((name, i) => [name, maes[i]]));
+        progress({ ...at(done), step: { name: planner, step, mae, thumbnail }, row: [] }, [thumbnail.data]);
+      });
+      // A planner's rows are complete when the next one begins.
+      const complete = evaluation.nextPlanner !== planner ? evaluation.report().results.slice(rows) : [];
+      rows += complete.length;
+      progress({ ...at(done + 1), step: null, row: complete });
+      await pause();
+      signal.throwIfAborted();
+    }
+    return evaluation.report();
+  } finally {
+    evaluation.free();
+    void decoders.start(); // idle now, and ready when someone opens a folder
+  }
 }
 
 /**

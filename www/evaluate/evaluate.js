@@ -96,7 +96,7 @@ function known(settings, catalogue) {
   const solvers = settings.solvers.filter(name => catalogue.solvers.some(s => s.name === name));
   return {
     ...settings,
-    planners: planners.length ? planners : DEFAULTS.planners,
+    planners: planners.length ? planners : DEFAULTS.planners.filter(name => catalogue.planners.some(p => p.name === name)),
     solvers: solvers.length ? solvers : DEFAULTS.solvers,
   };
 }

@@ -101,6 +101,6 @@ export function mountSettings(root, { page, store, actions }) {
     progress.hidden = !running;
     if (!running) return;
     find(progress, "progress", HTMLProgressElement).value = running.done / Math.max(1, running.total);
-    find(progress, ".what", HTMLElement).textContent = running.what ?? `${running.done} of ${running.total}`;
+    find(progress, ".what", HTMLElement).textContent = running.what ?? `${Math.floor(running.done)} of ${running.total} planners`;
   });
 }

@@ -56,6 +56,11 @@ function isPainted(page, selector) {
   });
 }
 
+/** Waits until the step shown is this one. @param {Page} page @param {string} text */
+function stepShown(page, text) {
+  return page.waitForFunction(wanted => document.querySelector("#dome output")?.textContent === wanted, text, { timeout: 15_000 });
+}
+
 /** Text of the table, cell by cell. @param {Page} page */
 function table(page) {
   return page.locator("#results tbody tr").evaluateAll(rows => rows.map(row => [...row.children].map(cell => cell.textContent?.trim() ?? "")));
@@ -68,31 +73,32 @@ test("the page begins with an object, solved, without a file or a click", async 
     for (const map of ["image", "normals", "errors", "relit"]) assert.ok(await isPainted(page, `.map-${map} .frame canvas`), map);
     assert.ok(await isPainted(page, ".dome-object"), "the object stands in the dome");
     const rows = await table(page);
-    assert.deepEqual(rows.map(row => row[0]), ["Random", "DC05 ring + vertical", "TK22", "LIPIDS", "Oracle (sees the truth)"]);
+    const names = ["Random", "DC05 ring + vertical", "TK22", "LIPIDS", "COIL-PS", "Oracle (sees the truth)"];
+    const learned = rows.length === names.length; // where its module was built
+    assert.deepEqual(rows.map(row => row[0]), names.filter(name => learned || name !== "COIL-PS"));
     for (const row of rows) assert.match(row[2], /^\d+\.\d\d°$/);
     assert.equal(await page.locator(".dome .light").count(), 10);
-    assert.equal(await page.locator(".chart .series").count(), 5);
+    assert.equal(await page.locator(".chart .series").count(), rows.length);
   });
 });
 
 test("steps can be scrubbed back, played, and chosen on strip, dome and chart", async () => {
   await withPage(QUICK, async page => {
     await tableDone(page);
-    const output = page.locator("#dome output");
     await page.locator("#scrub").fill("3");
-    await page.waitForFunction(() => document.querySelector("#dome output")?.textContent === "Step 3 of 6");
-    assert.equal(await page.locator(".dome .light.future").count(), 3);
+    await stepShown(page, "Step 3 of 6");
+    await page.waitForFunction(() => document.querySelectorAll(".dome .light.future").length === 3);
     await page.waitForFunction(() => document.querySelector(".map-normals .note")?.textContent?.startsWith("from 3 lights"));
     await page.locator("#scrub").fill("2");
     await page.getByText("Normals need three lights").waitFor();
     await page.locator(".strip button").nth(4).click();
-    assert.equal(await output.innerText(), "Step 5 of 6");
+    await stepShown(page, "Step 5 of 6");
     await page.locator(".dome [data-light='0']").click();
-    assert.equal(await output.innerText(), "Step 1 of 6");
+    await stepShown(page, "Step 1 of 6");
     await page.getByRole("button", { name: "Play the steps" }).click();
-    await page.waitForFunction(() => document.querySelector("#dome output")?.textContent === "Step 6 of 6", null, { timeout: 15_000 });
+    await stepShown(page, "Step 6 of 6");
     await page.getByRole("button", { name: "DC05 ring + vertical" }).click();
-    assert.equal(await page.locator("#dome select.planner").inputValue(), "dc05v");
+    await page.waitForFunction(() => /** @type {HTMLSelectElement} */ (document.querySelector("#dome select.planner")).value === "dc05v");
   });
 });
 
@@ -176,8 +182,7 @@ test("cancel stops a run within a moment, and the page goes on working", async (
     const cancel = page.locator("#settings .cancel");
     await page.waitForFunction(() => document.querySelectorAll(".strip button").length >= 5, null, { timeout: 30_000 });
     await cancel.click();
-    assert.ok(await cancel.isDisabled());
-    assert.ok(await page.locator("#settings .progress").isHidden());
+    await page.waitForFunction(() => document.querySelector("#settings .cancel:disabled") && document.querySelector("#settings .progress[hidden]"), null, { timeout: 1000 });
     // The worker is free again: a view of another step comes at once.
     const start = Date.now();
     await page.locator("#settings").evaluate(form => {
@@ -217,7 +222,7 @@ test("a link holds the settings", async () => {
     assert.equal(first.length, 2);
     await page.locator("#seed").fill("10");
     await page.locator("#seed").blur();
-    assert.match(page.url(), /seed=10/);
+    await page.waitForURL(/seed=10/);
     const link = page.url().replace("seed=10", "seed=9");
     await page.goto("about:blank");
     await page.goto(link);
@@ -264,7 +269,7 @@ test("everything can be reached and done with the keyboard alone", async () => {
     await page.waitForFunction(text => document.querySelector(".map-relit .note")?.textContent !== text, lit);
     await tabTo(/^Step of the run/);
     await page.keyboard.press("Home");
-    assert.equal(await page.locator("#dome output").innerText(), "Step 1 of 6");
+    await stepShown(page, "Step 1 of 6");
     await tabTo(/^Export$/);
     await page.keyboard.press("Enter");
     await page.keyboard.press("Tab");
@@ -308,8 +313,7 @@ test("planners by solvers make a matrix, and each cell shows its run", async () 
     assert.equal(rows.length, 2);
     for (const row of rows) for (const cell of row.slice(2, 5)) assert.match(cell, /^\d+\.\d\d°$/);
     await page.getByRole("button", { name: /Random, Trimmed$/ }).click();
-    assert.equal(await page.locator("#dome select.solver").inputValue(), "trimmed");
-    assert.equal(await page.locator("#dome select.planner").inputValue(), "random");
+    await page.waitForFunction(() => [...document.querySelectorAll("#dome select")].map(s => /** @type {HTMLSelectElement} */ (s).value).join() === "random,trimmed");
     await page.getByLabel("Error shown").selectOption("expected");
     await page.waitForFunction(() => /mean \d/.test(document.querySelector(".map-errors .note")?.textContent ?? ""));
     assert.ok(await isPainted(page, ".map-errors .frame canvas"), "the solver's own estimate");

@@ -20,7 +20,10 @@ export async function servePage() {
   if (!existsSync(join(SERVED[1], "pkg/core/coil_ps_bg.wasm"))) {
     throw new Error(`no module in ${SERVED[1]}: run coil serve --build-only first`);
   }
+  const policy = existsSync(join(SERVED[1], "pkg/policy/coil_ps_bg.wasm")) && existsSync(join(ROOT, "models/compact/step.onnx"));
+  const status = { modules: { core: { state: "ready" }, policy: { state: policy ? "ready" : "failed", message: "not built" } } };
   const server = createServer(async (request, response) => {
+    if (request.url?.startsWith("/build-status.json")) return void response.writeHead(200, { "Content-Type": "application/json" }).end(JSON.stringify(status));
     const path = normalize(decodeURIComponent(new URL(request.url ?? "/", "http://localhost").pathname)).replace(/\/$/, "/index.html");
     for (const folder of path.startsWith("/models/") ? [ROOT] : SERVED) {
       const file = join(folder, path);
