@@ -34,6 +34,8 @@ pub struct Pixels {
     pub images: Vec<Vec<f32>>,
     /// True normals.
     pub normals: Vec<Vec3>,
+    /// Value at which the sensor is saturated.
+    pub saturation: Option<f32>,
 }
 
 /// One patch of surface of up to two materials.
@@ -168,7 +170,7 @@ impl Generator {
                 image[p] = v;
             }
         }
-        Pixels { lights, images, normals }
+        Pixels { lights, images, normals, saturation: Some(1.0) }
     }
 
     /// One pixel's true normal, and its value under each light.

@@ -1,9 +1,13 @@
 //! Chooses the parameters of the robust solvers on synthetic pixels, and calibrates their uncertainty.
 
 use super::{Generator, Pixels};
+use crate::camera::Camera as _;
 use crate::error::unit_angle;
+use crate::render::worlds::{self, Split};
+use crate::render::{Options, SceneCamera};
 use crate::rng::Rng;
 use crate::solve::{Measurements, SolveError, Solver};
+use glam::Vec3;
 
 /// Pixels of one number of lights: many light sets, some pixels under each.
 #[must_use]
@@ -13,6 +17,25 @@ pub fn bench(generator: &Generator, seed: u64, lights: usize, sets: usize, pixel
             let mut rng = Rng::stream(seed, s as u64);
             let set = generator.lights(&mut rng, lights);
             generator.pixels(&mut rng, set, pixels)
+        })
+        .collect()
+}
+
+/// The pixels of `objects` training objects of the rendered worlds, each under `lights` lights.
+///
+/// # Errors
+/// Why the first object that can't be rendered can't.
+pub fn rendered(objects: usize, lights: usize, size: u32) -> Result<Vec<Pixels>, String> {
+    let generator = Generator::new(Split::Train);
+    let options = Options { size, ..Options::default() };
+    (0..objects)
+        .map(|number| {
+            let scene = worlds::training(1, number).scene(&options).map_err(|e| e.to_string())?;
+            let camera = SceneCamera::new(&scene);
+            let set = generator.lights(&mut Rng::stream(9, number as u64), lights);
+            let take = |&l: &Vec3| camera.capture(l, &[]).map(|o| o.grey).map_err(|e| e.to_string());
+            let images = set.iter().map(take).collect::<Result<_, _>>()?;
+            Ok(Pixels { lights: set, images, normals: scene.truth().to_vec(), saturation: None })
         })
         .collect()
 }
@@ -71,7 +94,7 @@ impl Pixels {
         Measurements {
             lights: self.lights.clone(),
             images: self.images.iter().map(Vec::as_slice).collect(),
-            saturation: Some(1.0),
+            saturation: self.saturation,
         }
     }
 }

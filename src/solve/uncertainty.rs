@@ -5,7 +5,7 @@
 //! second solve. The root of the summed squares of these moves across the normal, over |g|, is the
 //! jackknife's standard error (HC3 of MacKinnon & White 1985). It sees that values contradict each other, not
 //! that all of them mislead the same way, so what it says is mapped to degrees by a power law
-//! fitted to synthetic pixels, one for each solver (`coil tune` prints it).
+//! fitted to rendered training objects, one for each solver (`coil tune` prints it).
 
 use super::lanes::{LANES, Lanes};
 use super::robust::{Fit, dot, fit, length};
@@ -58,6 +58,24 @@ impl Calibration {
     pub const CAUCHY: Self = Self { factor: 51.6, exponent: 0.597 };
     /// Of sparse Bayesian regression.
     pub const SPARSE_BAYES: Self = Self { factor: 46.8, exponent: 0.574 };
+
+    /// Of the pixel network, which gives an error of its own in radians.
+    pub const PIXEL: Self = Self { factor: 57.3, exponent: 1.0 };
+
+    /// The calibration of a solver of this name, where it has one.
+    #[must_use]
+    pub fn of(solver: &str) -> Option<Self> {
+        Some(match solver {
+            "ls" => Self::LEAST_SQUARES,
+            "trimmed" => Self::TRIMMED,
+            "l1" => Self::L1,
+            "huber" => Self::HUBER,
+            "cauchy" => Self::CAUCHY,
+            "sbr" => Self::SPARSE_BAYES,
+            "pixel" => Self::PIXEL,
+            _ => return None,
+        })
+    }
 
     /// Expected angular error in degrees, at most 90.
     #[must_use]

@@ -57,6 +57,7 @@ const SCALE: f32 = 45.0;
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let solver = solve::by_name(&args.solver)?;
     let mut failed = false;
+    let mut predictions = Vec::new();
     args.selection.for_each(args.protocol, |name, object| {
         let object = match object {
             Ok(object) => object,
@@ -67,14 +68,26 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
             }
         };
         let reach = args.selection.reach.to_radians();
-        object
-            .with_subject(reach, |subject| one(subject, solver.as_ref(), &args))
-            .with_context(|| name.to_owned())
+        let both = object.with_subject(reach, |subject| one(subject, solver.as_ref(), &args));
+        predictions.extend(both.with_context(|| name.to_owned())?);
+        Ok(())
     })?;
+    if predictions.len() > 1 {
+        let near = predictions.iter().filter(|(expected, truth)| (expected - truth).abs() <= 2.0).count();
+        let mean =
+            |f: fn(&(f64, f64)) -> f64| predictions.iter().map(f).sum::<f64>() / predictions.len() as f64;
+        println!(
+            "{} objects: expected {:.2}°, true {:.2}°; within 2° on {near} of them",
+            predictions.len(),
+            mean(|p| p.0),
+            mean(|p| p.1)
+        );
+    }
     Ok(ExitCode::from(u8::from(failed)))
 }
 
-fn one(subject: &Subject, solver: &dyn solve::Solver, args: &Args) -> anyhow::Result<()> {
+/// Solves one object; its expected and true mean error where both are known.
+fn one(subject: &Subject, solver: &dyn solve::Solver, args: &Args) -> anyhow::Result<Option<(f64, f64)>> {
     let lookup = Lookup::Nearest;
     let spec =
         RunSpec { planner: args.planner.clone(), lights: args.lights, lookup, draw: 0, seed: args.seed };
@@ -110,10 +123,10 @@ fn one(subject: &Subject, solver: &dyn solve::Solver, args: &Args) -> anyhow::Re
         100.0 * uncertainty::coverage(&solution),
         1e3 * seconds,
     );
-    match &args.out {
-        Some(dir) => write(subject, &solution, truth.as_ref(), &dir.join(output::safe(subject.name())), args),
-        None => Ok(()),
+    if let Some(dir) = &args.out {
+        write(subject, &solution, truth.as_ref(), &dir.join(output::safe(subject.name())), args)?;
     }
+    Ok(uncertainty::predicted_mae(&solution).zip(truth).map(|(expected, t)| (f64::from(expected), t.mae)))
 }
 
 fn write(

@@ -1,7 +1,7 @@
 //! `coil tune`: the robust solvers' parameters and the calibration of their uncertainty, from synthetic pixels.
 
 use coil_ps::pixels::Generator;
-use coil_ps::pixels::tune::{Score, bench, power_law, score};
+use coil_ps::pixels::tune::{Score, bench, power_law, rendered, score};
 use coil_ps::render::worlds::Split;
 use coil_ps::solve::uncertainty::Calibration;
 use coil_ps::solve::{self, Irls, Loss, Solver, SparseBayes, Thresholds, Trimmed};
@@ -17,6 +17,15 @@ pub struct Args {
     /// Light sets for each number of lights (64 pixels each).
     #[arg(long, default_value_t = 200)]
     sets: usize,
+    /// Rendered training objects that the uncertainty is calibrated on.
+    #[arg(long, default_value_t = 60)]
+    objects: usize,
+    /// Their size in pixels.
+    #[arg(long, default_value_t = 64)]
+    size: u32,
+    /// Only the uncertainty, not the grids of parameters.
+    #[arg(long)]
+    uncertainty: bool,
 }
 
 /// Numbers of lights that count alike.
@@ -29,7 +38,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         "mean angular error in degrees at T = {LIGHTS:?} and over all; seed {}, {} sets",
         args.seed, args.sets
     );
-    for (family, candidates) in grid() {
+    for (family, candidates) in if args.uncertainty { Vec::new() } else { grid() } {
         println!("\n{family}");
         let mut best: Option<(f64, String)> = None;
         for (text, solver) in candidates {
@@ -47,43 +56,39 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         }
     }
     println!(
-        "\nuncertainty of the solvers as they are: mean error, mean expected, rank correlation at each T;"
+        "\nuncertainty of the solvers as they are, on synthetic pixels and then on {} rendered",
+        args.objects
     );
-    println!("the calibration that these pixels ask for");
+    println!(
+        "training objects: mean error, mean expected, rank correlation at each T; the calibration they ask for"
+    );
+    let objects = LIGHTS.iter().map(|&t| rendered(args.objects, t, args.size)).collect::<Result<Vec<_>, _>>();
+    let objects = objects.map_err(anyhow::Error::msg)?;
     for (name, _) in solve::SOLVERS {
-        let Some(now) = calibration(name) else { continue };
+        let Some(now) = Calibration::of(name) else { continue };
         let solver = solve::by_name(name)?;
-        let scores = benches.iter().map(|b| score(&*solver, b)).collect::<Result<Vec<_>, _>>()?;
-        let cells: String = scores
-            .iter()
-            .map(|s| format!("  {:5.2} {:5.2} {:.2}", s.mean(), s.mean_expected(), s.rank_correlation()))
-            .collect();
-        let all = scores.into_iter().reduce(|mut a, b| {
-            a.errors.extend(b.errors);
-            a.expected.extend(b.expected);
-            a
-        });
-        let all = all.unwrap_or_default();
-        let (factor, exponent) = power_law(&all.expected, &all.errors);
-        println!(
-            "  {name:8}{cells}   factor: {:.2}, exponent: {:.3}",
-            factor * now.factor.powf(exponent),
-            exponent * now.exponent
-        );
+        for (of_objects, benches) in [(false, &benches), (true, &objects)] {
+            let scores = benches.iter().map(|b| score(&*solver, b)).collect::<Result<Vec<_>, _>>()?;
+            let cells: String = scores
+                .iter()
+                .map(|s| format!("  {:5.2} {:5.2} {:.2}", s.mean(), s.mean_expected(), s.rank_correlation()))
+                .collect();
+            let mut all = Score::default();
+            for s in scores {
+                all.errors.extend(s.errors);
+                all.expected.extend(s.expected);
+            }
+            let (factor, exponent) = power_law(&all.expected, &all.errors);
+            let (factor, exponent) = (factor * now.factor.powf(exponent), exponent * now.exponent);
+            let asked = if of_objects {
+                format!("   factor: {factor:.1}, exponent: {exponent:.3}")
+            } else {
+                String::new()
+            };
+            println!("  {name:8}{cells}{asked}");
+        }
     }
     Ok(ExitCode::SUCCESS)
-}
-
-fn calibration(name: &str) -> Option<Calibration> {
-    Some(match name {
-        "ls" => Calibration::LEAST_SQUARES,
-        "trimmed" => Calibration::TRIMMED,
-        "l1" => Calibration::L1,
-        "huber" => Calibration::HUBER,
-        "cauchy" => Calibration::CAUCHY,
-        "sbr" => Calibration::SPARSE_BAYES,
-        _ => return None,
-    })
 }
 
 type Candidates = Vec<(String, Box<dyn Solver>)>;

@@ -9,6 +9,7 @@
 pub mod network;
 pub mod onnx;
 
+use super::uncertainty::Calibration;
 use super::{Irls, LeastSquares, Loss, Measurements, Solution, SolveError, Solver, Validity};
 use glam::Vec3;
 use network::{INPUTS, Network, OUTPUTS, Tape, WIDTH, Wide};
@@ -201,7 +202,7 @@ fn push(out: &mut Solution, robust: &Solution, p: usize, frame: &Frame, [x, y, z
     out.validity.push(robust.validity[p]);
     let dark = robust.validity[p] != Validity::Valid && robust.albedo[p] == 0.0;
     if let Some(degrees) = &mut out.uncertainty {
-        degrees.push(if usable && !dark { expected_error(log).to_degrees() } else { 90.0 });
+        degrees.push(if usable && !dark { Calibration::PIXEL.degrees(expected_error(log)) } else { 90.0 });
     }
 }
 
