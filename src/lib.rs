@@ -68,6 +68,9 @@ pub mod planner;
 pub mod policy;
 pub mod session;
 
+pub mod arm;
+pub mod rig;
+
 pub mod view;
 
 pub mod eval;

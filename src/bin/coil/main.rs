@@ -1,5 +1,7 @@
 //! `coil`: the command line of coil-ps. One file a subcommand.
 
+mod arm;
+mod capture;
 mod eval;
 mod export;
 mod files;
@@ -54,6 +56,10 @@ enum Command {
     /// Render synthetic objects under many lights.
     #[cfg(feature = "render")]
     Render(render::Args),
+    /// Drive the arm of a rig, real or simulated.
+    Arm(arm::Args),
+    /// Take a whole session with a rig, real or simulated: plan, move, expose, merge, solve.
+    Capture(Box<capture::Args>),
     /// Build what is stale of the page and serve it on this machine.
     Serve(serve::ServeArgs),
     /// What a trained model says of itself.
@@ -77,6 +83,8 @@ fn main() -> ExitCode {
         Command::Export(args) => export::run(args),
         #[cfg(feature = "render")]
         Command::Render(args) => render::run(args),
+        Command::Arm(args) => arm::run(args),
+        Command::Capture(args) => capture::run(*args),
         Command::Serve(args) => serve::run(args),
         #[cfg(feature = "policy")]
         Command::Model(args) => model::run(args),

@@ -1,0 +1,521 @@
+//! `coil capture`: a whole session with a rig, headless.
+
+use crate::arm::{ArmArgs, Driver, PortArgs};
+use anyhow::{Context, bail};
+use coil_ps::arm::grbl::{Command, Trust};
+use coil_ps::arm::kinematics::{Severity, check_settings};
+use coil_ps::arm::line::State;
+use coil_ps::camera::{Camera, Domain};
+use coil_ps::dataset::diligent::normals_mat;
+use coil_ps::rig::camera::{Sensor, SimulatedCamera};
+use coil_ps::rig::capture::{Action, Capture, Options, Stuck};
+use coil_ps::rig::hdr::{Crop, Exposure, merge, threshold_mask};
+use coil_ps::rig::store::{self, RECORD, Record, Write};
+use coil_ps::rig::thrifty::Thrifty;
+use coil_ps::rig::tiff::decode_frame;
+use coil_ps::session::Session;
+use coil_ps::stack::{BitDepth, Mask};
+use coil_ps::{light, planner, solve};
+use glam::Vec3;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+/// Take a session: plan, move, settle, expose, merge, store, solve; T times.
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    port: PortArgs,
+    #[command(flatten)]
+    arm: ArmArgs,
+    /// sim (a rendered object), or folder:DIR: every new image there is an exposure.
+    #[arg(long, default_value = "sim")]
+    camera: String,
+    /// Folder of the session: DiLiGenT layout and session.json.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Go on with the session in that folder.
+    #[arg(long)]
+    resume: bool,
+    /// Planner; `coil eval --help` lists them.
+    #[arg(long, default_value = "tk22")]
+    planner: String,
+    /// Number of lights, T.
+    #[arg(short = 't', long, default_value_t = 10)]
+    lights: usize,
+    /// Largest slant that the planner may ask for, degrees.
+    #[arg(long, default_value_t = 75.0)]
+    reach: f32,
+    /// Prefer nearby lights: order the set of an offline planner, move the lights of an online one by up to so many degrees.
+    #[arg(long, value_name = "DEGREES")]
+    nearby: Option<f32>,
+    /// Seed.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Solver of the normals shown after every light.
+    #[arg(long, default_value = "ls")]
+    solver: String,
+    /// Exposure bracket, milliseconds.
+    #[arg(long, value_delimiter = ',', default_value = "1,3.2,10")]
+    exposures: Vec<f64>,
+    /// Rest after a move, seconds.
+    #[arg(long, default_value_t = 0.3)]
+    settle: f64,
+    /// LED brightness (spindle speed).
+    #[arg(long, default_value_t = 800.0)]
+    brightness: f64,
+    /// Trigger the camera by the coolant output.
+    #[arg(long)]
+    shutter: bool,
+    /// Take exposures with the LED off first and subtract them.
+    #[arg(long)]
+    dark: bool,
+    /// Never home: the arm has no switches and counts from where it stood when switched on.
+    #[arg(long)]
+    no_home: bool,
+    /// Name of the object; for the simulated camera a sculpture, as blob:7.
+    #[arg(long, default_value = "blob:7")]
+    object: String,
+    /// Material of the simulated object.
+    #[arg(long, default_value = "lambert:0.8")]
+    material: String,
+    /// Side of the simulated picture, pixels.
+    #[arg(long, default_value_t = 96)]
+    size: u32,
+    /// Mask (PNG, white on the object, of the size after the crop); without it, from the brightness under a frontal light.
+    #[arg(long, value_name = "FILE")]
+    mask: Option<PathBuf>,
+    /// Part of the sensor that is kept: LEFT,TOP,WIDTH,HEIGHT.
+    #[arg(long, value_parser = crop)]
+    crop: Option<Crop>,
+    /// Code value of black of a camera's files.
+    #[arg(long, default_value_t = 0)]
+    black: u16,
+    /// Code value at which a camera's files saturate (4095 for 12 bits in 16; default: the largest of the file).
+    #[arg(long)]
+    white: Option<u16>,
+    /// How long to wait for a file of a folder camera, seconds.
+    #[arg(long, default_value_t = 60.0)]
+    patience: f64,
+}
+
+fn crop(text: &str) -> Result<Crop, String> {
+    let n: Vec<u32> = text.split(',').filter_map(|p| p.parse().ok()).collect();
+    match n[..] {
+        [left, top, width, height] if text.split(',').count() == 4 => Ok(Crop { left, top, width, height }),
+        _ => Err("write LEFT,TOP,WIDTH,HEIGHT in pixels".into()),
+    }
+}
+
+/// Where exposures come from.
+enum Source<'a> {
+    Simulated { camera: SimulatedCamera<'a>, truth: Option<&'a [Vec3]> },
+    Folder { dir: PathBuf, known: BTreeSet<PathBuf>, black: u16, white: Option<u16>, patience: f64 },
+}
+
+impl Source<'_> {
+    fn expose(&mut self, driver: &mut Driver, seconds: f64) -> anyhow::Result<Exposure> {
+        match self {
+            Self::Simulated { camera, .. } => {
+                // A simulated camera needs a simulated arm: it sees the light where it really is.
+                let truth = driver
+                    .truth()
+                    .context("--camera sim needs --arm sim: it has to know where the light is")?;
+                let full = driver.link().settings().get(&30).copied().unwrap_or(1000.0);
+                let direction = coil_ps::arm::kinematics::Mount::default().direction(truth.joints);
+                let exposure = camera.expose(direction, (truth.led / full) as f32, seconds)?;
+                // Exposure and read-out of 5 million 12-bit pixels over USB 3.
+                driver.spend(Duration::from_secs_f64(seconds + 0.03));
+                Ok(exposure)
+            }
+            Self::Folder { dir, known, black, white, patience } => {
+                let file = next_file(dir, known, *patience, driver)?;
+                let bytes = std::fs::read(&file)?;
+                let image = decode_frame(&bytes, 1 << 28).with_context(|| file.display().to_string())?;
+                let largest = if image.bits == BitDepth::Eight { 255 } else { 65535 };
+                Ok(Exposure { white: white.unwrap_or(largest), black: *black, image, seconds })
+            }
+        }
+    }
+}
+
+/// Waits for a file that was not there before and has stopped growing; keeps the link alive meanwhile.
+fn next_file(
+    dir: &Path,
+    known: &mut BTreeSet<PathBuf>,
+    patience: f64,
+    driver: &mut Driver,
+) -> anyhow::Result<PathBuf> {
+    let start = Instant::now();
+    let mut last: Option<(PathBuf, u64)> = None;
+    while start.elapsed().as_secs_f64() < patience {
+        let mut fresh: Vec<PathBuf> = list(dir)?.into_iter().filter(|p| !known.contains(p)).collect();
+        fresh.sort();
+        if let Some(path) = fresh.into_iter().next() {
+            let size = std::fs::metadata(&path).map_or(0, |m| m.len());
+            if last.as_ref() == Some(&(path.clone(), size)) && size > 0 {
+                known.insert(path.clone());
+                return Ok(path);
+            }
+            last = Some((path, size));
+        }
+        let until = Instant::now() + Duration::from_millis(60);
+        while Instant::now() < until {
+            driver.pump()?;
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    }
+    bail!(
+        "{}: no new image in {patience} s: does the camera save there, and is it triggered (--shutter)?",
+        dir.display()
+    )
+}
+
+fn list(dir: &Path) -> anyhow::Result<Vec<PathBuf>> {
+    let entries = std::fs::read_dir(dir).with_context(|| dir.display().to_string())?;
+    let image = |p: &PathBuf| {
+        p.extension()
+            .and_then(|e| e.to_str())
+            .is_some_and(|e| ["png", "tif", "tiff"].contains(&e.to_lowercase().as_str()))
+    };
+    Ok(entries.filter_map(|e| Some(e.ok()?.path())).filter(image).collect())
+}
+
+/// Writes as a whole or not at all: another file first, then its name.
+fn write_files(dir: &Path, writes: &[Write]) -> anyhow::Result<()> {
+    for w in writes {
+        let (path, part) = (dir.join(&w.name), dir.join(format!("{}.part", w.name)));
+        let write = || -> std::io::Result<()> {
+            let mut file = std::fs::File::create(&part)?;
+            std::io::Write::write_all(&mut file, &w.bytes)?;
+            file.sync_all()?;
+            std::fs::rename(&part, &path)
+        };
+        write().with_context(|| format!("{}: can't be written", path.display()))?;
+    }
+    Ok(())
+}
+
+/// Runs the subcommand.
+///
+/// # Errors
+/// What went wrong, in words; the session on disk stays whole.
+pub fn run(args: Args) -> anyhow::Result<ExitCode> {
+    check(&args)?;
+    if let Some(dir) = args.camera.strip_prefix("folder:") {
+        let dir = PathBuf::from(dir);
+        let known = list(&dir)?.into_iter().collect();
+        let source =
+            Source::Folder { dir, known, black: args.black, white: args.white, patience: args.patience };
+        return capture(&args, source, None);
+    }
+    if args.camera != "sim" {
+        bail!("--camera {}: sim or folder:DIR", args.camera);
+    }
+    simulated(&args)
+}
+
+#[cfg(feature = "render")]
+fn simulated(args: &Args) -> anyhow::Result<ExitCode> {
+    use coil_ps::render::{Material, Options as SceneOptions, Pose, Scene, SceneCamera, named};
+    let shape = named(&args.object)?;
+    let pose = Pose::fit(&shape, shape.front())?;
+    let material: Material = args.material.parse()?;
+    let options = SceneOptions { size: args.size, ..SceneOptions::default() };
+    let scene = Scene::new(&args.object, &shape, &pose, &material.into(), &options)?;
+    let camera = SceneCamera::new(&scene);
+    let source = Source::Simulated {
+        camera: SimulatedCamera::new(&camera, Sensor::default(), args.seed),
+        truth: Some(scene.truth()),
+    };
+    capture(args, source, Some(camera.mask().clone()))
+}
+
+#[cfg(not(feature = "render"))]
+fn simulated(args: &Args) -> anyhow::Result<ExitCode> {
+    let sphere = coil_ps::rig::camera::Sphere::new(args.size)?;
+    let source = Source::Simulated {
+        camera: SimulatedCamera::new(&sphere, Sensor::default(), args.seed),
+        truth: Some(sphere.truth()),
+    };
+    capture(args, source, Some(sphere.mask().clone()))
+}
+
+fn check(args: &Args) -> anyhow::Result<()> {
+    if args.exposures.is_empty() || args.exposures.iter().any(|e| !(*e > 0.0 && *e <= 60_000.0)) {
+        bail!("--exposures: one or more times above 0 and up to 60000 ms");
+    }
+    if !(3..=1000).contains(&args.lights) {
+        bail!("-t {}: 3 to 1000 lights", args.lights);
+    }
+    if !(0.0..=30.0).contains(&args.settle) {
+        bail!("--settle {}: 0 to 30 s", args.settle);
+    }
+    if !(1.0..=90.0).contains(&args.reach) {
+        bail!("--reach {}: 1 to 90 degrees", args.reach);
+    }
+    let there = args.out.join(RECORD).exists();
+    if there && !args.resume {
+        bail!("{} holds a session: --resume goes on with it, or choose another folder", args.out.display());
+    }
+    if !there && args.resume {
+        bail!("{} holds no session to go on with", args.out.display());
+    }
+    std::fs::create_dir_all(&args.out).with_context(|| format!("{}: can't be made", args.out.display()))
+}
+
+/// Homes and lights up as far as it is needed before the session proper (dark frames, mask).
+fn prepare(args: &Args, driver: &mut Driver) -> anyhow::Result<()> {
+    let link = driver.link();
+    if link.state() == Some(State::Alarm) || link.trust() != Trust::Homed && !args.no_home {
+        if args.no_home {
+            bail!("the arm is locked: unlock it first (coil arm console, $X)");
+        }
+        driver.execute(Command::Home)?;
+    }
+    Ok(())
+}
+
+fn bracket(args: &Args, driver: &mut Driver, source: &mut Source) -> anyhow::Result<Vec<Exposure>> {
+    let mut frames = Vec::new();
+    if args.shutter {
+        driver.execute(Command::Shutter(true))?;
+    }
+    for ms in &args.exposures {
+        frames.push(source.expose(driver, ms / 1000.0)?);
+    }
+    if args.shutter {
+        driver.execute(Command::Shutter(false))?;
+    }
+    Ok(frames)
+}
+
+fn capture(args: &Args, mut source: Source, mask: Option<Mask>) -> anyhow::Result<ExitCode> {
+    let mut arm = args.arm.read()?;
+    let mut driver = Driver::connect(&args.port)?;
+    let found = check_settings(driver.link().settings(), driver.link().work_offset(), &arm, args.brightness);
+    for finding in &found {
+        eprintln!(
+            "{}: {}",
+            if finding.severity == Severity::Error { "error" } else { "warning" },
+            finding.text
+        );
+    }
+    if found.iter().any(|f| f.severity == Severity::Error) {
+        bail!("the firmware's settings don't fit the arm's configuration (see above)");
+    }
+    arm.axes = driver.link().axis_limits();
+
+    let dark = if args.dark {
+        driver.execute(Command::Light(0.0)).ok();
+        Some(bracket(args, &mut driver, &mut source)?)
+    } else {
+        None
+    };
+    let resumed =
+        if args.resume { Some(store::resume(|name| std::fs::read(args.out.join(name)).ok())?) } else { None };
+    let mask = match (&resumed, &args.mask, mask) {
+        (Some(r), ..) => r.mask.clone(),
+        (_, Some(path), _) => read_mask(path)?,
+        (_, _, Some(mask)) => mask,
+        _ => {
+            // A frontal light shows the whole object.
+            prepare(args, &mut driver)?;
+            driver.execute(Command::Light(args.brightness))?;
+            let front = light::from_azimuth_slant(0.0, (arm.limits.keep_out.max(1.0) as f32).to_radians());
+            let plan = arm.plan(front, driver.link().joints().unwrap_or_default());
+            driver.execute(Command::Goto { to: plan.joints, feed: arm.feed })?;
+            let mut frames = bracket(args, &mut driver, &mut source)?;
+            if let Some(crop) = args.crop {
+                for f in &mut frames {
+                    f.image = crop.apply(&f.image)?;
+                }
+            }
+            threshold_mask(&merge(&frames, None)?)?
+        }
+    };
+
+    let info = planner::info(&args.planner)?;
+    let truth = match &source {
+        Source::Simulated { truth, .. } => *truth,
+        Source::Folder { .. } => None,
+    };
+    let setup = planner::Setup { lights: args.lights, seed: args.seed, draw: 0, camera: None, truth: None };
+    let mut planner = planner::build(&args.planner, &setup)?;
+    if let Some(degrees) = args.nearby {
+        planner = Box::new(Thrifty::new(planner, info.online, arm.clone(), degrees.to_radians()));
+    }
+    let reach = args.reach.min(arm.limits.slant[1] as f32).to_radians();
+    let session = Session::new(mask.clone(), Domain::Hemisphere { reach }, planner, args.lights);
+    let options = Options {
+        exposures: args.exposures.iter().map(|ms| ms / 1000.0).collect(),
+        settle: args.settle,
+        brightness: args.brightness,
+        shutter: args.shutter,
+        auto_home: !args.no_home,
+        ..Options::default()
+    };
+    let mut capture = match resumed {
+        Some(resumed) => {
+            if resumed.record.lights != args.lights
+                || resumed.record.planner != args.planner
+                || resumed.record.seed != args.seed
+            {
+                let r = &resumed.record;
+                bail!(
+                    "the session was begun with --planner {} -t {} --seed {}: say the same",
+                    r.planner,
+                    r.lights,
+                    r.seed
+                );
+            }
+            for name in &resumed.damaged {
+                eprintln!("warning: {name} is damaged or gone and will be taken again");
+            }
+            println!("going on after {} of {} lights", resumed.seen.len(), args.lights);
+            Capture::resume(session, resumed, options, dark)?
+        }
+        None => {
+            let mut record = Record::new(&args.object, &args.planner, args.seed, args.lights, arm);
+            record.crop = args.crop;
+            Capture::new(session, record, options, dark)
+        }
+    };
+    capture.record_mut().firmware = format!("Grbl {}", driver.link().version());
+    capture.record_mut().camera = args.camera.clone();
+    write_files(&args.out, &capture.opening_writes()?)?;
+    if let Some(truth) = truth {
+        write_files(
+            &args.out,
+            &[Write { name: "Normal_gt.mat".into(), bytes: normals_mat("Normal_gt", &mask, truth) }],
+        )?;
+    }
+    let ended = drive(args, &mut driver, &mut source, &mut capture, truth);
+    let last = Write {
+        name: RECORD.into(),
+        bytes: capture.record().writes().pop().map(|w| w.bytes).unwrap_or_default(),
+    };
+    write_files(&args.out, &[last])?;
+    match ended? {
+        None => {
+            if let Ok(solution) = capture.session().solve(&*solve::by_name(&args.solver)?, args.lights) {
+                let bytes = normals_mat("Normal_est", &mask, &solution.normals);
+                write_files(&args.out, &[Write { name: "Normal_est.mat".into(), bytes }])?;
+            }
+            budget(&capture);
+            println!("{}: {} lights", args.out.display(), capture.session().seen().len());
+            Ok(ExitCode::SUCCESS)
+        }
+        Some(stuck) => {
+            let taken = capture.session().seen().len();
+            eprintln!("error: {stuck}");
+            eprintln!("{taken} of {} lights are in {}; --resume goes on", args.lights, args.out.display());
+            Ok(ExitCode::from(3))
+        }
+    }
+}
+
+fn read_mask(path: &Path) -> anyhow::Result<Mask> {
+    let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
+    let image = coil_ps::image::decode_png(&bytes, 1 << 28).with_context(|| path.display().to_string())?;
+    let inside: Vec<bool> = image.rgb.iter().map(|c| c[0] > image.bits.max() / 2).collect();
+    Ok(Mask::new(image.width, image.height, &inside)?)
+}
+
+/// Until the capture is done (`None`) or can't go on.
+fn drive(
+    args: &Args,
+    driver: &mut Driver,
+    source: &mut Source,
+    capture: &mut Capture,
+    truth: Option<&[Vec3]>,
+) -> anyhow::Result<Option<Stuck>> {
+    let solver = solve::by_name(&args.solver)?;
+    let mut reconnects = 0;
+    loop {
+        driver.pump()?;
+        let now = driver.now();
+        for event in driver.take_events() {
+            capture.event(now, &event);
+        }
+        match capture.next(now, driver.link_mut()) {
+            Action::Wait(until) => driver.sleep(until),
+            Action::Plan => {
+                let start = Instant::now();
+                let plan = capture.plan(now, driver.link())?;
+                capture.timings().plan = start.elapsed().as_secs_f64();
+                if let Some(plan) = plan.filter(|p| p.projected > 0.0) {
+                    eprintln!(
+                        "light {}: out of reach, projected by {:.1}°",
+                        capture.session().seen().len() + 1,
+                        plan.projected
+                    );
+                }
+            }
+            Action::Expose { seconds, .. } => match source.expose(driver, seconds) {
+                Ok(exposure) => capture.exposed(exposure)?,
+                Err(error) => return Ok(Some(Stuck::Failed(format!("{error:#}")))),
+            },
+            Action::Develop => {
+                let start = Instant::now();
+                let result = capture.develop(driver.link(), None);
+                capture.timings().merge = start.elapsed().as_secs_f64();
+                if let Err(error) = result {
+                    return Ok(Some(Stuck::Failed(error.to_string())));
+                }
+            }
+            Action::Store(writes) => {
+                write_files(&args.out, &writes)?;
+                capture.stored()?;
+                let count = capture.session().seen().len();
+                let start = Instant::now();
+                let solution = capture.session().solve(&*solver, count);
+                capture.solved(start.elapsed().as_secs_f64());
+                if let Some(shot) = capture.record().shots.last() {
+                    let error = match (solution, truth) {
+                        (Ok(s), Some(t)) => format!("  error {:.2}°", coil_ps::error::mae(&s.normals, t)),
+                        _ => String::new(),
+                    };
+                    println!(
+                        "{:>8.2} s  {}  azimuth {:7.2}° slant {:6.2}°  saturated {:.1} %  dark {:.1} %  noise {:.1} %{error}",
+                        driver.now().as_secs_f64(),
+                        shot.file,
+                        shot.joints.azimuth,
+                        shot.joints.slant,
+                        100.0 * shot.quality.saturated,
+                        100.0 * shot.quality.dark,
+                        100.0 * shot.quality.noise,
+                    );
+                }
+            }
+            Action::Done => return Ok(None),
+            Action::Stuck(Stuck::Disconnected(why)) if reconnects < 3 => {
+                reconnects += 1;
+                eprintln!("disconnected ({why}); trying again for 8 s");
+                match driver.reconnect() {
+                    Ok(()) => capture.retry(),
+                    Err(_) => return Ok(Some(Stuck::Disconnected(why))),
+                }
+            }
+            Action::Stuck(stuck) => return Ok(Some(stuck)),
+        }
+    }
+}
+
+/// Where the time of a step goes.
+fn budget(capture: &Capture) {
+    let shots = &capture.record().shots;
+    let mean = |f: fn(&store::Timings) -> f64| {
+        1e3 * shots.iter().map(|s| f(&s.timings)).sum::<f64>() / shots.len().max(1) as f64
+    };
+    println!(
+        "a step: plan {:.1} ms, move {:.0} ms, settle {:.0} ms, expose {:.0} ms, merge {:.1} ms, solve {:.1} ms",
+        mean(|t| t.plan),
+        mean(|t| t.r#move),
+        mean(|t| t.settle),
+        mean(|t| t.expose),
+        mean(|t| t.merge),
+        mean(|t| t.solve),
+    );
+}
