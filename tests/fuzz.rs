@@ -55,6 +55,10 @@ fn valid(target: &str) -> Vec<Vec<u8>> {
         "mesh" => {
             MESHES.iter().map(|(format, text)| [&[*format][..], text].concat()).chain([stl()]).collect()
         }
+        "grbl" => vec![
+            b"<Idle|MPos:-185.000,-100.000,0.000|FS:0,800|WCO:-185.000,-100.000,0.000>".to_vec(),
+            b"<Hold:0|WPos:1.000,2.000,0.000|Bf:15,128|FS:500,0|Pn:XZ|Ov:100,100,100|A:SF>".to_vec(),
+        ],
         _ => panic!("no valid files for {target}"),
     }
 }

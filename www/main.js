@@ -23,6 +23,7 @@ import { find, html } from "./svg.js";
 /** @type {View[]} */
 const VIEWS = [
   { id: "evaluate", title: "Evaluate", load: () => import("./evaluate/evaluate.js") },
+  { id: "rig", title: "Rig", load: () => import("./rig/rig.js") },
 ];
 
 const problems = find(document, "#problems", HTMLElement);

@@ -10,6 +10,8 @@ mod picture;
 mod policy;
 #[cfg(feature = "render")]
 mod render;
+#[cfg(feature = "render")]
+mod serial;
 mod session;
 mod stack;
 
@@ -20,6 +22,8 @@ pub use picture::{Picture, colour_bar};
 pub use policy::{Insight, Models, PolicyRunner};
 #[cfg(feature = "render")]
 pub use render::{Capture, families, materials};
+#[cfg(feature = "render")]
+pub use serial::{Rig, SessionFile, SessionFiles, SimulatedBoard};
 pub use session::Session;
 pub use stack::{Observations, Relit, Solution, Stack, Surface};
 

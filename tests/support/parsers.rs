@@ -23,6 +23,7 @@ pub const BODIES: &[Body] = &[
     ("lp", lp),
     ("object", object),
     ("model", model),
+    ("grbl", grbl),
     #[cfg(feature = "render")]
     ("mesh", mesh),
 ];
@@ -146,6 +147,42 @@ pub fn model(bytes: &[u8]) -> bool {
     assert_eq!(again.network.weights(), model.network.weights());
     assert_eq!(again.metadata, model.metadata);
     true
+}
+
+/// Bytes from a serial line into the host's side of the link: any line, cut anywhere.
+pub fn grbl(bytes: &[u8]) -> bool {
+    use coil_ps::arm::grbl::{Command, Link, Phase};
+    use coil_ps::arm::{Joints, line};
+    use std::time::Duration;
+    let mut link = Link::new();
+    let mut now = Duration::ZERO;
+    link.opened(now);
+    let mut accepted = false;
+    for (k, piece) in bytes.chunks(7).enumerate() {
+        now += Duration::from_millis(u64::from(piece[0]) * 9);
+        link.receive(now, piece);
+        link.tick(now);
+        if k % 3 == 0 {
+            // Refused or taken, as the phase asks; never a panic.
+            let to = Joints { azimuth: f64::from(piece[0]), slant: 10.0 };
+            accepted |= link.send(now, Command::Goto { to, feed: 1000.0 }).is_ok();
+        }
+        if let Some(wake) = link.next_wake(now) {
+            assert!(wake > now);
+        }
+    }
+    link.stop(now);
+    let out = link.take_output();
+    assert!(matches!(link.phase(), Phase::Closed(_)) || out == b"!\x18");
+    link.receive(now, bytes);
+    link.tick(now);
+    let after = link.take_output();
+    assert!(after.iter().all(|b| b"!?\x18".contains(b)), "sent after Stop: {after:?}");
+    if let line::Line::Status(s) = line::parse(bytes) {
+        assert!(s.machine.into_iter().chain(s.work).flatten().all(f64::is_finite));
+        accepted = true;
+    }
+    accepted
 }
 
 /// The first byte names the format of the rest.

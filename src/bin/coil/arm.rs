@@ -300,7 +300,7 @@ fn console(rig: &Rig) -> anyhow::Result<ExitCode> {
     }
 }
 
-fn report<E: std::fmt::Display>(result: Result<(), E>) {
+fn report<T, E: std::fmt::Display>(result: Result<T, E>) {
     if let Err(error) = result {
         eprintln!("{error}");
     }

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 #[derive(clap::Args, Clone)]
 pub struct PortArgs {
     /// Serial port of the arm (coil arm ports lists them), or sim for the simulated one.
-    #[arg(long, default_value = "sim", env = "COIL_ARM")]
+    #[arg(long, default_value = "sim")]
     pub arm: String,
     /// Speed of the simulated arm's clock.
     #[arg(long, value_enum, default_value = "fast")]
