@@ -77,7 +77,10 @@ fn shards_make_the_same_set() {
 #[test]
 fn gnu_parallel_makes_a_set() {
     if Command::new("parallel").arg("--version").output().is_err() {
-        assert!(std::env::var("CI").as_deref() != Ok("true"), "GNU parallel is not installed (apt-get install parallel)");
+        assert!(
+            std::env::var("CI").as_deref() != Ok("true"),
+            "GNU parallel is not installed (apt-get install parallel)"
+        );
         println!("SKIPPED: GNU parallel is not installed (apt-get install parallel)");
         return;
     }

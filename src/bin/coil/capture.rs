@@ -341,7 +341,14 @@ fn capture(args: &Args, mut source: Source, mask: Option<Mask>) -> anyhow::Resul
         Source::Simulated { truth, .. } => *truth,
         Source::Folder { .. } => None,
     };
-    let setup = planner::Setup { lights: args.lights, seed: args.seed, draw: 0, camera: None, truth: None };
+    let setup = planner::Setup {
+        lights: args.lights,
+        seed: args.seed,
+        draw: 0,
+        camera: None,
+        truth: None,
+        learned: None,
+    };
     let mut planner = planner::build(&args.planner, &setup)?;
     if let Some(degrees) = args.nearby {
         planner = Box::new(Thrifty::new(planner, info.online, arm.clone(), degrees.to_radians()));
