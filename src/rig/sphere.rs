@@ -103,7 +103,8 @@ pub fn fit_circle(points: &[DVec2]) -> Result<Circle, SphereError> {
         right[1] += 0.5 * q * d.y;
     }
     let det = m[0][0] * m[1][1] - m[0][1] * m[0][1];
-    if !(det > 1e-9 * (m[0][0] + m[1][1]) * (m[0][0] + m[1][1])) {
+    let trace = m[0][0] + m[1][1];
+    if det.is_nan() || det <= 1e-9 * trace * trace {
         return Err(fail);
     }
     let centre = DVec2::new(
