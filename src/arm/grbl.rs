@@ -793,7 +793,12 @@ impl Link {
                 self.set_state(None);
                 self.poll(now);
             }
-            Phase::Stopped(true) => {}
+            Phase::Stopped(true) => {
+                // An answer to a repeated Stop, or a restart: nobody can tell, so the position is not trusted.
+                self.trust = Trust::Lost;
+                self.set_state(None);
+                self.poll(now);
+            }
             Phase::Opening => {
                 // The banner may come twice; the settings are read once more then, which does no harm.
                 if !expected {
@@ -866,6 +871,9 @@ impl Link {
         let before = self.state;
         if state != State::Alarm {
             self.alarm = None;
+        } else if self.alarm.is_none() {
+            // Locked with no alarm told: it restarted, perhaps while Stop's own banner was awaited.
+            self.trust = Trust::Lost;
         }
         self.set_state(Some(state));
         if matches!(state, State::Hold(_) | State::Door(_)) && before != Some(state) && !self.holding {

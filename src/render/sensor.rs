@@ -8,12 +8,17 @@ use glam::Vec3;
 /// A linear camera sensor.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Sensor {
-    /// Electrons at full scale: sets the shot noise. Infinite for none.
+    /// Electrons at full scale: sets the shot noise. Infinite for none (`null` in JSON, which has no infinity).
+    #[serde(deserialize_with = "null_is_infinite")]
     pub full_well: f32,
     /// Standard deviation of the read noise, electrons.
     pub read_noise: f32,
     /// Bits of the converter, 1..=16. Codes are stored scaled to 16 bits.
     pub bits: u32,
+}
+
+fn null_is_infinite<'de, D: serde::Deserializer<'de>>(value: D) -> Result<f32, D::Error> {
+    Ok(<Option<f32> as serde::Deserialize>::deserialize(value)?.unwrap_or(f32::INFINITY))
 }
 
 impl Sensor {

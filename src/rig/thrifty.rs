@@ -167,7 +167,7 @@ mod tests {
     fn the_same_lights_with_less_travel() {
         let arm = Arm::default();
         let domain = Domain::Hemisphere { reach: 1.4 };
-        let setup = |seed| Setup { lights: 10, seed, draw: 0, camera: None, truth: None };
+        let setup = |seed| Setup { lights: 10, seed, draw: 0, camera: None, truth: None, learned: None };
         let (mut plain, mut short) = (0.0, 0.0);
         for seed in 0..20 {
             let before = run(&mut *planner::build("random", &setup(seed)).unwrap(), &domain, 10);
@@ -195,7 +195,7 @@ mod tests {
     fn an_online_planner_moves_each_light_a_little() {
         let arm = Arm::default();
         let domain = Domain::Hemisphere { reach: 1.2 };
-        let setup = Setup { lights: 10, seed: 1, draw: 0, camera: None, truth: None };
+        let setup = Setup { lights: 10, seed: 1, draw: 0, camera: None, truth: None, learned: None };
         let before = run(&mut *planner::build("random", &setup).unwrap(), &domain, 10);
         let mut thrifty =
             Thrifty::new(planner::build("random", &setup).unwrap(), true, arm.clone(), 5f32.to_radians());

@@ -482,7 +482,7 @@ impl Rig {
         let options = SceneOptions { size, ..SceneOptions::default() };
         let scene = Scene::new(&object, &shape, &pose, &made.into(), &options).map_err(fail)?;
         let mask = SceneCamera::new(&scene).mask().clone();
-        let setup = Setup { lights, seed, draw: 0, camera: None, truth: None };
+        let setup = Setup { lights, seed, draw: 0, camera: None, truth: None, learned: None };
         let planner = planner::build(&planner_name, &setup).map_err(fail)?;
         let reach = 75f32.to_radians();
         let session = Session::new(mask, Domain::Hemisphere { reach }, planner, lights);

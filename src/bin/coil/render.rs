@@ -258,8 +258,8 @@ fn sheet(args: &Args, file: &Path) -> anyhow::Result<ExitCode> {
 /// The objects of a name, with the pose where it does not follow from the object's rotation.
 fn objects(name: &str, args: &Args) -> anyhow::Result<Vec<(Object, Option<Pose>)>> {
     let mesh = [".obj", ".ply", ".stl"].iter().any(|end| name.to_ascii_lowercase().ends_with(end));
-    let own_finish =
-        [worlds::NAME, "training", "validation"].contains(&name.split(':').next().unwrap_or_default());
+    let own_finish = [worlds::NAME, "worlds-train", "worlds-validate"]
+        .contains(&name.split(':').next().unwrap_or_default());
     if own_finish {
         if args.material.is_some() || args.pose != "front" {
             bail!("{name}: its materials and poses are part of it; leave --material and --pose out");

@@ -34,7 +34,7 @@ struct Rig<'a> {
 }
 
 fn session(sphere: &Sphere, lights: usize) -> Session<'static> {
-    let setup = Setup { lights, seed: 7, draw: 0, camera: None, truth: None };
+    let setup = Setup { lights, seed: 7, draw: 0, camera: None, truth: None, learned: None };
     let planner = planner::build("random", &setup).unwrap();
     Session::new(sphere.mask().clone(), Domain::Hemisphere { reach: 1.2 }, planner, lights)
 }
