@@ -93,10 +93,17 @@ async function status(signal) {
   return reply.ok ? (await reply.json()).modules?.policy ?? null : null;
 }
 
-/** Whether learned planners can be offered: their module is there or on its way. */
-export async function hasLearned() {
+/**
+ * The learned planners that can be offered: their module is there or on its way, and so is their network.
+ * @returns {Promise<string[]>}
+ */
+export async function learnedPlanners() {
   const policy = await status().catch(() => null);
-  return policy !== null && policy.state !== "failed";
+  if (policy === null || policy.state === "failed") return [];
+  const reply = await fetch(new URL("models/index.json", import.meta.url));
+  /** @type {string[]} */
+  const models = reply.ok ? (await reply.json()).models : [];
+  return Object.keys(LEARNED).filter(name => models.includes(LEARNED[name]));
 }
 
 /**

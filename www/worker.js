@@ -3,7 +3,7 @@
 
 import * as core from "./pkg/core/coil_ps.js";
 import { Decoders, readObject } from "./reader.js";
-import { hasLearned, LEARNED, loadFull } from "./learned.js";
+import { LEARNED, learnedPlanners, loadFull } from "./learned.js";
 
 /** @typedef {import("./messages.js").Calls} Calls */
 /** @typedef {import("./messages.js").Kind} Kind */
@@ -58,8 +58,8 @@ const answers = {
   async catalogue() {
     const pair = (/** @type {string} */ line) => /** @type {[string, string]} */ (line.split(": "));
     const all = lib.catalogue();
-    const learned = await hasLearned();
-    const planners = all.planners.filter(({ name }) => learned || !(name in LEARNED));
+    const learned = await learnedPlanners();
+    const planners = all.planners.filter(({ name }) => learned.includes(name) || !(name in LEARNED));
     return { ...all, planners, families: lib.families().map(pair), materials: lib.materials() };
   },
 

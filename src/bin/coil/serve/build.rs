@@ -197,9 +197,7 @@ impl Builder {
     fn pack(&self, module: &Module) -> anyhow::Result<()> {
         let compiled = self.target.join("wasm").join(TARGET).join(module.profile).join("coil_ps.wasm");
         let packed = self.packed(module);
-        if module.name == "policy" {
-            self.copy_models()?;
-        }
+        self.copy_models()?;
         if modified(&packed).is_some_and(|time| Some(time) > modified(&compiled)) {
             return Ok(());
         }
@@ -215,9 +213,11 @@ impl Builder {
         Ok(())
     }
 
-    /// Puts the trained planners' networks, where there are any, beside the module that runs them.
+    /// Puts the trained planners' networks beside the module that runs them, with a list of those there are.
     fn copy_models(&self) -> anyhow::Result<()> {
         let to = self.page_dir().join("models");
+        fs::create_dir_all(&to).with_context(|| format!("cannot make {}", to.display()))?;
+        let mut names = Vec::new();
         for entry in fs::read_dir(self.root.join("models")).context("cannot list models/")? {
             let folder = entry?.path();
             let Some(name) = folder.file_name().filter(|_| folder.join("step.onnx").is_file()) else {
@@ -228,8 +228,11 @@ impl Builder {
                 let (source, copy) = (folder.join(file), to.join(name).join(file));
                 fs::copy(&source, &copy).with_context(|| format!("cannot copy {}", source.display()))?;
             }
+            names.push(name.to_string_lossy().into_owned());
         }
-        Ok(())
+        let index = to.join("index.json");
+        let json = serde_json::json!({ "models": names }).to_string();
+        fs::write(&index, json).with_context(|| format!("cannot write {}", index.display()))
     }
 
     fn packed(&self, module: &Module) -> PathBuf {
