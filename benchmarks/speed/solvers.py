@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
-"""Times peers of the solvers on 57,721 pixels x 10 lights, one thread: numpy for trimmed least squares,
+"""Times peers of the solvers on 57,721 pixels x 10 lights, one thread (CPU time, so that a
+busy machine matters less): numpy for trimmed least squares,
 onnxruntime for the pixel network (models/pixel.onnx, the same file coil-ps runs; its time leaves out describing the
-observations). Also checks that onnxruntime and coil-ps agree where both outputs are given.
+observations). That both agree is tests/pixel_parity.rs.
 
 pip install numpy onnxruntime; python3 benchmarks/speed/solvers.py
 """
@@ -33,9 +34,9 @@ def trimmed(dark=1, bright=1):
 def best(run):
     times = []
     for _ in range(REPEATS):
-        begun = time.perf_counter()
+        begun = time.process_time()
         run()
-        times.append(time.perf_counter() - begun)
+        times.append(time.process_time() - begun)
     return min(times)
 
 
