@@ -65,10 +65,10 @@ pub fn differentiate(
     let mut asked: Vec<Tensor<2>> = Vec::new();
     let mut direction = run.first(&device);
     for i in 0..how.lights {
-        let shots = run.capture(&values(direction.clone()), true);
+        let newest = run.capture(&values(direction.clone()), true);
         asked.push(direction.clone());
         if i + 1 < how.lights {
-            let (frames, lights) = run.inputs(&shots, &direction, &device);
+            let (frames, lights) = run.inputs(newest, &direction, &device);
             direction = sequence.step(frames, lights, run.reach(&device));
         }
     }
@@ -116,9 +116,9 @@ pub fn capture(net: &Network, episodes: &[Episode], how: Conditions) -> Vec<Capt
     let mut sequence = net.start();
     let mut direction = run.first(&device);
     for i in 0..how.lights {
-        let shots = run.capture(&values(direction.clone()), false);
+        let newest = run.capture(&values(direction.clone()), false);
         if i + 1 < how.lights {
-            let (frames, lights) = run.inputs(&shots, &direction, &device);
+            let (frames, lights) = run.inputs(newest, &direction, &device);
             direction = sequence.step(frames, lights, run.reach(&device));
         }
     }
@@ -179,7 +179,7 @@ impl<'a> Run<'a> {
         tensor(self.episodes.iter().map(|e| e.reach / FRAC_PI_2).collect(), [self.tracks.len(), 1], device)
     }
 
-    /// Photographs every object under its direction (three numbers each).
+    /// Photographs every object under its direction (three numbers each); gives the picture's number.
     fn capture(&mut self, directions: &[f32], keep_gradient: bool) -> usize {
         for ((track, e), d) in self.tracks.iter_mut().zip(self.episodes).zip(directions.as_chunks::<3>().0) {
             let direction = Vec3::from_array(*d).normalize_or(Vec3::Z);
@@ -209,14 +209,14 @@ impl<'a> Run<'a> {
     }
 
     /// The newest pictures and their directions as the network takes them, depending on `direction`.
-    fn inputs(&self, newest: &usize, direction: &Tensor<2>, device: &Device) -> (Tensor<4>, Tensor<2>) {
+    fn inputs(&self, newest: usize, direction: &Tensor<2>, device: &Device) -> (Tensor<4>, Tensor<2>) {
         let (batch, s) = (self.tracks.len(), self.side);
         let cells = 3 * s * s;
         let mut frames = Vec::with_capacity(batch * cells);
         let mut slopes = [Vec::new(), Vec::new(), Vec::new()];
         let (mut lights, mut by_light) = (Vec::new(), [Vec::new(), Vec::new(), Vec::new()]);
         for track in &self.tracks {
-            let shot = &track.shots[*newest];
+            let shot = &track.shots[newest];
             lights.extend(shot.light.normalize_or(Vec3::Z).to_array());
             for (axis, column) in by_light.iter_mut().enumerate() {
                 column.extend(shot.light_gradient.col(axis).to_array());
@@ -246,7 +246,7 @@ impl<'a> Run<'a> {
             false => tensor(frames, [batch, 3, s, s], device),
         };
         let mut lights = tensor(lights, [batch, 3], device);
-        let tracked = self.tracks.iter().any(|t| !t.shots[*newest].gradient.is_empty());
+        let tracked = self.tracks.iter().any(|t| !t.shots[newest].gradient.is_empty());
         if tracked {
             let step = direction.clone() - direction.clone().detach();
             for (axis, (slope, by)) in slopes.into_iter().zip(by_light).enumerate() {

@@ -17,7 +17,6 @@ pub const LENGTH_EPSILON: f32 = 1e-12;
 /// A network on a device: parameters as tensors, weight norm applied.
 pub struct Network {
     config: Config,
-    device: Device,
     leaves: Vec<Tensor<1>>,
     kernels: HashMap<String, Tensor<4>>,
     matrices: HashMap<String, Tensor<2>>,
@@ -56,7 +55,7 @@ impl Network {
         let positions = (0..config.max_frames)
             .map(|i| Tensor::from_data(TensorData::new(config.position(i), [1, config.width]), device))
             .collect();
-        Self { device: device.clone(), leaves, kernels, matrices, vectors, positions, config }
+        Self { leaves, kernels, matrices, vectors, positions, config }
     }
 
     /// Its sizes.
@@ -366,7 +365,7 @@ mod tests {
     }
 
     fn one(net: &Network, input: &Input, count: usize) -> Vec<Vec<f32>> {
-        let (s, device) = (net.config.input, &net.device);
+        let (s, device) = (net.config.input, &Device::flex());
         let mut run = net.start();
         (0..count)
             .map(|i| {
@@ -383,7 +382,7 @@ mod tests {
     }
 
     fn all(net: &Network, input: &Input, count: usize) -> Vec<f32> {
-        let (s, device) = (net.config.input, &net.device);
+        let (s, device) = (net.config.input, &Device::flex());
         values(net.whole(
             count,
             tensor(input.frames.clone(), [count, 3, s, s], device),
