@@ -25,5 +25,5 @@ fn solve(bencher: Bencher, name: &str) {
         ..Measurements::default()
     };
     let solver = solve::by_name(name).expect("a solver's name");
-    bencher.bench(|| solver.solve(black_box(&measurements)));
+    bencher.bench_local(|| solver.solve(black_box(&measurements)));
 }

@@ -81,7 +81,7 @@ impl Surface {
         let mut triangles = Vec::with_capacity(2 * mask.len());
         for (&i, &a) in mask.indices().iter().zip(&numbers) {
             let i = i as usize;
-            if (i + 1) % columns == 0 || i + columns >= number.len() {
+            if (i + 1).is_multiple_of(columns) || i + columns >= number.len() {
                 continue;
             }
             // a b      Corners outside the mask leave a triangle or nothing.

@@ -124,7 +124,7 @@ fn edges(mask: &Mask, normals: &[Vec3]) -> Vec<Edge> {
         for (p, &i) in mask.indices().iter().enumerate() {
             let i = i as usize;
             let neighbour = if along_x {
-                if (i + 1) % width == 0 { None } else { at(i + 1) }
+                if (i + 1).is_multiple_of(width) { None } else { at(i + 1) }
             } else {
                 i.checked_sub(width).and_then(at) // the row above: y is up
             };

@@ -245,7 +245,7 @@ fn one(fault: Fault, seed: u64, sphere: &Sphere, span: Duration) -> (bool, bool)
         );
     }
     // From what is on disk, a sound rig goes on to the end.
-    if seed % 10 == 0 {
+    if seed.is_multiple_of(10) {
         let mut sound = Rig::new(sphere, Fault::Split, Duration::from_secs(100_000), 1, LIGHTS);
         sound.truth = rig.truth.clone();
         sound.disk = rig.disk.clone();
