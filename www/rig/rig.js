@@ -23,7 +23,7 @@ const sleep = (/** @type {number} */ ms) => new Promise(resolve => setTimeout(re
  * @param {import("../main.js").Page} page
  */
 export async function mount(root, page) {
-  await init();
+  await init({ module_or_path: new URL("../pkg/core/coil_ps_bg.wasm", import.meta.url) });
   if (!document.querySelector("link[href$='rig/rig.css']")) {
     document.head.append(html("link", { rel: "stylesheet", href: new URL("rig.css", import.meta.url).href }));
   }
@@ -86,7 +86,8 @@ export async function mount(root, page) {
   let port = null;
   /** @type {any[]} */
   let remembered = [];
-  let timer = 0;
+  /** @type {ReturnType<typeof setTimeout> | undefined} */
+  let timer;
   let wanted = false; // the user wants to be connected
   /** @type {"idle" | "auto" | "one"} */
   let mode = "idle";
@@ -300,12 +301,14 @@ export async function mount(root, page) {
 
   // ---- the capture ----
 
+  const idle = () => mode === "idle"; // it changes while a capture waits
+
   async function advance() {
-    if (advancing || !capturing || mode === "idle" || !port) return;
+    if (advancing || !capturing || idle() || !port) return;
     advancing = true;
     try {
       for (;;) {
-        if (mode === "idle" || !port) return;
+        if (idle() || !port) return;
         const doing = rig.step(now());
         const out = rig.takeOutput();
         if (out.length) port.write(out);

@@ -9,7 +9,8 @@ export class SimulatedPort {
   writable = null;
   /** @type {ReadableStreamDefaultController<Uint8Array> | null} */
   #controller = null;
-  #timer = 0;
+  /** @type {ReturnType<typeof setTimeout> | undefined} */
+  #timer;
 
   /** @param {"guide" | "stock"} [kind] */
   constructor(kind = "guide") {
