@@ -90,7 +90,7 @@ test("denied, busy, then connected only after the banner", async () => {
     await page.evaluate(() => { /** @type {any} */ (window).rigTest.answer = "deny"; });
     await connect(page, "choose");
     await page.getByRole("heading", { name: "No port chosen" }).waitFor();
-    assert.match(await page.locator("dialog").innerText(), /data cable[\s\S]*dialout/);
+    assert.match(await page.locator("dialog[open]").innerText(), /data cable[\s\S]*dialout/);
     await page.getByRole("button", { name: "Close" }).click();
 
     await page.evaluate(() => { /** @type {any} */ (window).rigTest.answer = "busy"; });
@@ -121,7 +121,7 @@ test("home, go, jog; Stop ends everything and no move follows", async () => {
     await page.locator(".rig-az").fill("-170");
     await page.getByRole("button", { name: "Go to" }).click();
     await page.waitForFunction(() => document.querySelector(".rd-state")?.textContent === "Run");
-    await page.getByRole("button", { name: "STOP" }).click();
+    await page.getByRole("button", { name: "STOP", exact: true }).click();
     await state(page, /Stopped\. Release/);
     const before = (await lines(page)).length;
     for (const name of ["Go to", "Home", "Resume"]) await page.getByRole("button", { name, exact: true }).click();
