@@ -3,7 +3,7 @@
 //! X is the azimuth and Y the slant, both in degrees. Everything here takes bytes, values and the time
 //! and gives bytes and events: the page, the command line and the tests bring their own port and clock.
 //!
-//! - [`line`]: what one line of the firmware means; [`codes`]: its numbers in words.
+//! - [`mod@line`]: what one line of the firmware means; [`codes`]: its numbers in words.
 //! - [`grbl`]: the host's side of the link.
 //! - [`kinematics`]: light direction ↔ joint angles, limits, travel; [`motion`]: how long Grbl takes.
 //! - [`simulated`]: a Grbl 1.1h with an arm on it; [`fault`]: what can go wrong on the way.

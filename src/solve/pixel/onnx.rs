@@ -1,7 +1,7 @@
 //! The network as an ONNX file: written for everyone, read back for ourselves.
 //!
 //! The file is the model: the page and the command line read the weights from it, any ONNX runtime can run it
-//! (`observations [pixels, lights, INPUTS]` → `corrections [pixels, OUTPUTS]`, see [`super::Start`] for what an observation
+//! (`observations [pixels, lights, INPUTS]` → `corrections [pixels, OUTPUTS]`, see `Start` for what an observation
 //! is). Weights are stored in half precision behind a `Cast`; both sides compute in 32 bits. Only the few message kinds
 //! of protocol buffers that such a file has are written and read here.
 
@@ -335,7 +335,7 @@ struct Tensor {
     raw: Vec<u8>,
 }
 
-/// Reads a file that [`write`] made.
+/// Reads a file that [`write()`] made.
 ///
 /// # Errors
 /// [`ModelError`] for a damaged or foreign file, or one of another version.
