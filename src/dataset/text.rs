@@ -77,8 +77,9 @@ pub(super) fn light_direction(v: DVec3, file: &str, line: usize) -> Result<Vec3,
 }
 
 /// `v` with unit length. What is unit to the precision of f32 stays as it is, so that a written vector is
-/// read back the same.
+/// read back the same; judged after rounding to f32, because that is what is written.
 pub(super) fn normalised(v: DVec3) -> Vec3 {
-    let length = v.length();
-    if (length - 1.0).abs() < 3e-7 { v.as_vec3() } else { (v / length).as_vec3() }
+    let rounded = v.as_vec3();
+    let unit = (rounded.as_dvec3().length() - 1.0).abs() < 3e-7;
+    if unit { rounded } else { (v / v.length()).as_vec3() }
 }
