@@ -139,6 +139,9 @@ impl SessionFiles {
     }
 
     /// What the session is, or why it is none.
+    #[wasm_bindgen(
+        unchecked_return_type = "{ object: string; planner: string; lights: number; taken: number; damaged: string[] }"
+    )]
     pub fn summary(&self) -> Result<JsValue, JsError> {
         let r = store::resume(|n| self.0.get(n).cloned()).map_err(fail)?;
         plain(&Summary {
@@ -301,12 +304,13 @@ impl Rig {
     }
 
     /// Console lines and failures since the last call: `{ kind, text }`.
-    #[wasm_bindgen(js_name = takeLog)]
+    #[wasm_bindgen(js_name = takeLog, unchecked_return_type = "{ kind: string; text: string }[]")]
     pub fn take_log(&mut self) -> Result<JsValue, JsError> {
         plain(&std::mem::take(&mut self.log))
     }
 
     /// What is shown of the arm.
+    #[wasm_bindgen(unchecked_return_type = "Record<string, any>")]
     pub fn shown(&self) -> Result<JsValue, JsError> {
         let link = &self.link;
         let joints = link.joints();
@@ -340,6 +344,7 @@ impl Rig {
     }
 
     /// What does not fit in the firmware's settings: `{ kind: "error" | "warning", text }`.
+    #[wasm_bindgen(unchecked_return_type = "{ kind: \"error\" | \"warning\"; text: string }[]")]
     pub fn findings(&self) -> Result<JsValue, JsError> {
         let found = check_settings(self.link.settings(), self.link.work_offset(), &self.arm, 800.0);
         let said: Vec<Said> = found
@@ -510,6 +515,7 @@ impl Rig {
     }
 
     /// What the capture wants: `{ action, … }`. Plans, merges and solves by itself; `expose` and `store` are the caller's.
+    #[wasm_bindgen(unchecked_return_type = "Record<string, any>")]
     pub fn step(&mut self, now: f64) -> Result<JsValue, JsError> {
         let Self { link, studio, .. } = self;
         let Some(studio) = studio else {
@@ -607,6 +613,7 @@ impl Rig {
     }
 
     /// The lights so far.
+    #[wasm_bindgen(unchecked_return_type = "Record<string, any>[]")]
     pub fn lights(&self) -> Result<JsValue, JsError> {
         let shots = self.studio.as_ref().map(|s| s.capture.record().shots.as_slice()).unwrap_or_default();
         let lights: Vec<Light> = shots
