@@ -2,6 +2,7 @@
 //!
 //! Directions are `[x, y, z]` unit vectors or `Float32Array`s of three numbers each: x right, y up, z to the camera.
 //! Angles are degrees here. Every function that can fail throws an `Error` with the message of the crate's error.
+#![allow(clippy::new_without_default, clippy::should_implement_trait)] // JavaScript's constructors and names
 
 mod evaluation;
 mod object;
@@ -137,7 +138,7 @@ fn direction(values: &[f32]) -> Result<Vec3, JsError> {
 }
 
 fn directions(values: &[f32]) -> Result<Vec<Vec3>, JsError> {
-    if values.len() % 3 == 0 {
+    if values.len().is_multiple_of(3) {
         Ok(values.chunks_exact(3).map(Vec3::from_slice).collect())
     } else {
         Err(fail(format!("{} numbers: a list of directions has three for each", values.len())))
