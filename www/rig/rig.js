@@ -199,6 +199,8 @@ export async function mount(root, page) {
     await mine.open();
     port = mine;
     rig.opened(now());
+    // Before anything is asked of the capture: stuck for the port that was lost, it would end what it can now go on with.
+    rig.retry();
     pump();
   }
 
@@ -224,9 +226,7 @@ export async function mount(root, page) {
       // After a re-enumeration the same device may be another object.
       const again = serial() && !(gone.raw instanceof SimulatedPort) ? (await serial().getPorts()).find((/** @type {any} */ p) => p === gone.raw) ?? gone.raw : gone.raw;
       try {
-        await open(again);
-        rig.retry();
-        return;
+        return await open(again);
       } catch { /* not there yet */ }
     }
     wanted = false;

@@ -136,8 +136,7 @@ test("home, go, jog; Stop ends everything and no move follows", async () => {
   });
 });
 
-// Does not come to its end yet, in the page or in the test: the native fault tests cover the same in src/rig/capture/tests.rs.
-test("the cable is pulled in mid-move; it reconnects, and the capture goes on", { skip: "does not end yet" }, async () => {
+test("the cable is pulled in mid-move; it reconnects, and the capture goes on", async () => {
   await withRig(async page => {
     await connect(page, "choose");
     await state(page, /Connected/);
