@@ -37,12 +37,13 @@ async function walk(entry, files) {
   if (files.length >= MOST_FILES) {
     throw new Error(`more than ${MOST_FILES} files: choose the folder of one object or of a DiLiGenT release`);
   }
-  if (entry instanceof FileSystemFileEntry) {
+  // Chromium has no constructors of these names to ask with instanceof.
+  if (entry.isFile) {
     /** @type {File} */
-    const file = await new Promise((resolve, reject) => entry.file(resolve, reject));
+    const file = await new Promise((resolve, reject) => /** @type {FileSystemFileEntry} */ (entry).file(resolve, reject));
     files.push({ path: entry.fullPath.replace(/^\//, ""), file });
-  } else if (entry instanceof FileSystemDirectoryEntry) {
-    const reader = entry.createReader();
+  } else {
+    const reader = /** @type {FileSystemDirectoryEntry} */ (entry).createReader();
     for (;;) {
       /** @type {FileSystemEntry[]} */
       const batch = await new Promise((resolve, reject) => reader.readEntries(resolve, reject));

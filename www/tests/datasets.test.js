@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { execFile } from "node:child_process";
 import { cp, mkdtemp, readdir, readFile, rm, writeFile } from "node:fs/promises";
 import { tmpdir } from "node:os";
-import { join } from "node:path";
+import { basename, join } from "node:path";
 import { after, before, test } from "node:test";
 import { promisify } from "node:util";
 import { inflateSync } from "node:zlib";
@@ -60,6 +60,24 @@ async function save(page, name) {
 /** @param {Page} page @param {string} name */
 function opened(page, name) {
   return page.waitForFunction(wanted => document.querySelector("#object-title")?.textContent === wanted, name, { timeout: 60_000 });
+}
+
+/**
+ * Drops files or folders on the page as a file manager does: the browser makes the DataTransfer and its entries.
+ * @param {Page} page
+ * @param {string[]} files absolute paths
+ */
+async function drop(page, files) {
+  const devtools = await page.context().newCDPSession(page);
+  const data = { items: [], files, dragOperationsMask: 1 };
+  const { width, height } = /** @type {{ width: number, height: number }} */ (page.viewportSize());
+  const event = (/** @type {"dragEnter" | "dragOver" | "drop"} */ type) => devtools.send("Input.dispatchDragEvent", { type, x: width / 2, y: height / 2, data });
+  await event("dragEnter");
+  await event("dragOver");
+  await page.locator("body.drop-target").waitFor();
+  await event("drop");
+  await page.locator("body:not(.drop-target)").waitFor();
+  await devtools.detach();
 }
 
 /** The small object of the page as a zip and as a folder. @type {Promise<{ zip: string, folder: string }> | null} */
@@ -213,6 +231,60 @@ test("a release with several objects offers each of them", async t => {
     await page.locator("#object .among select").selectOption("pot1");
     await opened(page, "pot1");
     await tableDone(page);
+  });
+});
+
+test("an object's folder, a zip and a folder of objects are opened where they are dropped", async () => {
+  await withPage(QUICK, async page => {
+    const { zip, folder } = await smallObject(page);
+    const name = basename(folder).replace(/PNG$/, "");
+    await drop(page, [folder]);
+    await page.waitForFunction(() => !document.querySelector("#object .facts")?.textContent?.includes("rendered in this page"), null, { timeout: 30_000 });
+    await opened(page, name);
+    await tableDone(page);
+    assert.match(await page.locator("#object .facts").innerText(), /100 images/);
+
+    await drop(page, [zip]);
+    await opened(page, name);
+    await tableDone(page);
+
+    // Two objects at a time, as a DiLiGenT root has them, with files of the file manager's own between.
+    const root = join(await mkdtemp(join(scratch, "root-")), "pmsData");
+    for (const object of ["one", "two"]) await cp(folder, join(root, `${object}PNG`), { recursive: true });
+    await writeFile(join(root, ".DS_Store"), "not an object");
+    await drop(page, [root]);
+    await opened(page, "one");
+    await tableDone(page);
+    assert.deepEqual(await page.locator("#object .among option").allInnerTexts(), ["one", "two"]);
+    await page.locator("#object .among select").selectOption("two");
+    await opened(page, "two");
+    await tableDone(page);
+
+    await rm(join(root, "twoPNG/mask.png"));
+    await drop(page, [join(root, "twoPNG")]);
+    await page.locator("#problems .problem").waitFor();
+    assert.match(await page.locator("#problems .said").innerText(), /mask\.png/);
+    assert.equal(await page.locator("#object-title").innerText(), "two", "the object before it stays");
+    await page.getByRole("button", { name: "Dismiss" }).click();
+
+    await drop(page, [join(root, ".DS_Store")]);
+    await page.locator("#problems .problem").waitFor();
+    assert.match(await page.locator("#problems").innerText(), /Expected is a DiLiGenT object/);
+  });
+});
+
+test("the ball's folder and a DiLiGenT root open when they are dropped", async t => {
+  const data = sharedData(t);
+  if (!data) return;
+  await withPage(QUICK, async page => {
+    await drop(page, [join(data, BALL)]);
+    await opened(page, "ball");
+    await tableDone(page);
+    assert.match(await page.locator("#object .facts").innerText(), /96 images\s+612×512 pixels\s+15,791 on the object\s+16 bit/);
+    await drop(page, [join(data, "DiLiGenT/pmsData_crop_8bit")]);
+    await opened(page, "cow");
+    await tableDone(page);
+    assert.deepEqual(await page.locator("#object .among option").allInnerTexts(), ["cow", "pot1"]);
   });
 });
 
