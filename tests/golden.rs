@@ -16,6 +16,7 @@ fn table(object: &str, protocol: Protocol, planners: &[&str], draws: usize) -> O
         lookups: vec!["nearest".into()],
         draws,
         seed: 1,
+        stop_at: None,
     };
     Some(evaluate(&Subject::Stack(&stack), &settings).unwrap())
 }

@@ -4,7 +4,7 @@
 /** @typedef {import("./messages.js").Kind} Kind */
 /** @typedef {import("./messages.js").Reply} Reply */
 
-/** A worker that has not answered an abort after so long is ended. */
+/** A worker that has not answered an abort after so long is ended, unless the call says otherwise. */
 const PATIENCE_MS = 80;
 
 /** Requests that make the worker what it is; a new one repeats the last of each. */
@@ -12,7 +12,8 @@ const LASTING = /** @type {Kind[]} */ (["open", "prepare"]);
 
 /**
  * @template {Kind} K
- * @typedef {{ signal?: AbortSignal, onProgress?: (progress: Calls[K]["progress"]) => void }} CallOptions
+ * @typedef {{ signal?: AbortSignal, patience?: number, onProgress?: (progress: Calls[K]["progress"]) => void }} CallOptions
+ * patience: milliseconds
  */
 
 /**
@@ -56,15 +57,15 @@ export class Engine {
   /**
    * @param {Kind} kind
    * @param {object} body
-   * @param {{ signal?: AbortSignal, onProgress?: (progress: any) => void }} options
+   * @param {{ signal?: AbortSignal, patience?: number, onProgress?: (progress: any) => void }} options
    * @returns {Promise<any>}
    */
-  #send(kind, body, { signal, onProgress }) {
+  #send(kind, body, { signal, patience = PATIENCE_MS, onProgress }) {
     const id = ++this.#lastId;
     return new Promise((resolve, reject) => {
       const abort = () => {
         this.#worker.postMessage({ id, kind: "abort" });
-        setTimeout(() => this.#pending.has(id) && this.#restart(), PATIENCE_MS);
+        setTimeout(() => this.#pending.has(id) && this.#restart(), patience);
       };
       const settled = () => signal?.removeEventListener("abort", abort);
       const request = { id, kind, ...body };

@@ -1,4 +1,4 @@
-// Every message between the page, its worker and the decoders. Types only.
+// Every message between the page, its worker and the helpers. Types only.
 //
 // The page asks the worker with a `Request`, the worker answers with `Progress` (any number) and one `Done` or
 // `Failed` of the same id. `Abort` ends a request early: it fails with an AbortError.
@@ -60,6 +60,9 @@
  * @typedef {{ name: string, step: StepInfo, mae: Record<string, number | null>, thumbnail: Picture }} RunStep
  * name: the planner; mae: degrees, by solver, null before three lights or without truth
  *
+ * The error of a step that was solved after the run: by a solver that takes seconds.
+ * @typedef {{ name: string, steps: number, solver: string, mae: number | null }} LateError
+ *
  * What is shown of one step of one run.
  * @typedef {object} StepView
  * @property {Picture} image the last picture taken
@@ -70,6 +73,7 @@
  * @property {number | null} mae degrees
  * @property {number} unknown pixels without a true normal, which count as 90°
  * @property {number} invalid pixels with too few usable values
+ * @property {number} solved part of the pixels that these maps are made of, 0…1: less than 1 in a coarse preview
  *
  * A learned planner at work on the pictures that are shown.
  * @typedef {object} Insight
@@ -83,6 +87,7 @@
  * @property {number} y row
  * @property {Direction | null} normal
  * @property {number | null} error degrees
+ * @property {number | null} expected what the solver expects it to be
  */
 
 /**
@@ -91,15 +96,15 @@
  * @property {{ body: {}, reply: Catalogue, progress: never }} catalogue
  * @property {{ body: { source: Source }, reply: ObjectInfo, progress: { done: number, total: number, what: string } }} open
  * @property {{ body: { protocol: string }, reply: StackInfo, progress: never }} prepare
- * @property {{ body: { settings: Settings }, reply: Report, progress: { done: number, total: number, what?: string, step: RunStep | null, row: ResultRow[] } }} run
- * @property {{ body: { asked: Direction[], lookup: string, solver: string, scale: number }, reply: StepView, progress: never }} view
+ * @property {{ body: { settings: Settings }, reply: Report, progress: { done: number, total: number, what?: string, step: RunStep | null, late?: LateError, row: ResultRow[] } }} run
+ * @property {{ body: { asked: Direction[], lookup: string, solver: string, scale: number }, reply: StepView, progress: StepView }} view
  * @property {{ body: { planner: string }, reply: Insight | null, progress: never }} insight
  * @property {{ body: { light: Direction }, reply: Picture | null, progress: never }} relight
  * @property {{ body: { yaw: number, tilt: number, size: number }, reply: Picture | null, progress: never }} surface
  * @property {{ body: { index: number, size: number }, reply: Picture, progress: never }} photo
  * @property {{ body: { x: number, y: number }, reply: PixelInfo | null, progress: never }} pixel
  * @property {{ body: { scale: number, width: number }, reply: Picture, progress: never }} colours
- * @property {{ body: { what: "normals" | "errors" | "image" | "relit" | "lp" | "object" | "glb" | "ply" }, reply: { bytes: ArrayBuffer, type: string, name: string }, progress: never }} export
+ * @property {{ body: { what: "normals" | "errors" | "image" | "relit" | "lp" | "object" | "glb" | "ply" | "obj" }, reply: { bytes: ArrayBuffer, type: string, name: string }, progress: never }} export
  */
 
 /** @typedef {keyof Calls} Kind */
@@ -111,14 +116,17 @@
 /** @typedef {Progress | Done | Failed} Reply */
 
 /**
- * To a decoder: the compiled module first, then for each object its mask (a byte a pixel) and its images.
+ * To a helper: the compiled module first; then for each object its mask (a byte a pixel) and its images; the learned
+ * solver's network and then pieces (light directions, three numbers each; grey values, image after image).
  * @typedef {{ kind: "module", module: WebAssembly.Module }
  *   | { kind: "object", mask: Uint8Array, width: number, height: number }
- *   | { kind: "image", id: number, bytes: File | ArrayBuffer, name: string }} DecoderRequest
+ *   | { kind: "image", id: number, bytes: File | ArrayBuffer, name: string }
+ *   | { kind: "network", id: number, bytes: Uint8Array }
+ *   | { kind: "piece", id: number, solver: string, lights: Float32Array, values: Float32Array, count: number }} HelperRequest
  *
- * From a decoder: RGB code values of the mask pixels, 16 bit each.
- * @typedef {{ kind: "image", id: number, bits: number, pixels: ArrayBuffer }
- *   | { kind: "failed", id: number, message: string }} DecoderReply
+ * From a helper: of an image RGB code values of the mask pixels, 16 bit each; of a piece what `solvePiece` returns.
+ * @typedef {{ kind: "done", id: number, bits: number, result: ArrayBuffer }
+ *   | { kind: "failed", id: number, message: string }} HelperReply
  */
 
 export {};

@@ -2,7 +2,8 @@
 // as they come; a run pauses between its slices, so that others are answered meanwhile, and an abort is heard.
 
 import * as core from "./pkg/core/coil_ps.js";
-import { Decoders, readObject } from "./reader.js";
+import { Helpers } from "./helpers.js";
+import { readObject } from "./reader.js";
 import { LEARNED, learnedPlanners, loadFull } from "./learned.js";
 
 /** @typedef {import("./messages.js").Calls} Calls */
@@ -23,10 +24,13 @@ const UNSEEDED = ["sphere", "bowl"];
 /** A computation that can be cut pauses so often. */
 const SLICE_MS = 30;
 
-/** Compiled once; decoders get it by message. */
+/** The solver whose normals take seconds: they are made in pieces by the helpers. */
+const IN_PIECES = "pixel";
+
+/** Compiled once; helpers get it by message. */
 const compiled = WebAssembly.compileStreaming(fetch(new URL("pkg/core/coil_ps_bg.wasm", import.meta.url)));
 const ready = compiled.then(module => core.default({ module_or_path: module }));
-const decoders = new Decoders(compiled);
+const helpers = new Helpers(compiled);
 
 /** The build in use: the small one, until a learned planner is asked for. Objects of one are of no use to the other. */
 let lib = core;
@@ -66,7 +70,7 @@ const answers = {
   async open({ source }, { signal, progress }) {
     const start = performance.now();
     const opened = source.kind === "files"
-      ? await readObject(lib, source.files, source.object, decoders, signal, progress)
+      ? await readObject(lib, source.files, source.object, helpers, signal, progress)
       : { object: await photograph(source, signal, progress), notes: [], objects: [] };
     signal.throwIfAborted();
     const { object, notes, objects } = opened;
@@ -105,29 +109,36 @@ const answers = {
   },
 
   // A run is nothing but the directions it asked for: its pictures can be had again at any step.
-  view({ asked, lookup, solver, scale }) {
+  async view({ asked, lookup, solver, scale }, { signal, progress }) {
     const stack = needed(state.stack, "open an object first");
     const observations = stack.observe(new Float32Array(asked.flat()), lookup);
+    const quick = solver === IN_PIECES ? "ls" : solver;
     let solution = null;
     try {
-      if (asked.length >= 3) solution = observations.solve(solver);
+      if (asked.length >= 3) solution = observations.solve(quick);
     } catch (error) {
       // The first lights may lie in one plane: there are no normals yet.
       if (asked.length >= 5) throw error;
     }
-    release();
-    state.shown = { observations, solution, scale, surface: null };
-    state.relit = solution?.relit() ?? null;
-    return {
-      image: take(observations.photo(observations.count - 1, 4096)),
-      normals: solution && take(solution.normalsPicture()),
-      errors: optional(solution?.errorPicture(scale)),
-      expected: optional(solution?.uncertaintyPicture(scale)),
-      expectedMean: solution?.expectedError ?? null,
-      mae: solution?.mae ?? null,
-      unknown: solution?.unknown ?? 0,
-      invalid: solution?.invalid ?? 0,
+    if (quick === solver || !solution) return show(observations, solution, scale, 1);
+    solution.free();
+    const tiles = observations.tiles();
+    let shown = false;
+    const showTiles = () => {
+      shown = true;
+      return show(observations, tiles.solution(), scale, tiles.done / tiles.total);
     };
+    try {
+      const onLevel = () => {
+        const preview = showTiles();
+        progress(preview, buffers(preview));
+      };
+      await helpers.solve(tiles, { signal, urgent: true, onLevel });
+      return showTiles();
+    } finally {
+      tiles.free();
+      if (!shown) observations.free();
+    }
   },
 
   insight({ planner }) {
@@ -164,8 +175,8 @@ const answers = {
   pixel({ x, y }) {
     const values = x < 0 || y < 0 ? undefined : state.shown?.solution?.pixel(x, y);
     if (!values) return null;
-    const [column, row, nx, ny, nz, error = null] = values;
-    return { x: column, y: row, normal: [nx, ny, nz], error };
+    const [column, row, nx, ny, nz, expected, error = null] = values;
+    return { x: column, y: row, normal: [nx, ny, nz], error, expected };
   },
 
   colours({ width }) {
@@ -185,6 +196,7 @@ const answers = {
       case "errors": return file(needed(solved().errorPng(scale), "the true normals are not known"), "image/png", `error-0-${scale}deg.png`);
       case "image": return png(observations.photo(observations.count - 1, 4096), "picture.png");
       case "glb": return file(needed(surface(), "there are no normals yet").write("glb"), "model/gltf-binary", "surface.glb");
+      case "obj": return file(needed(surface(), "there are no normals yet").write("obj"), "model/obj", "surface.obj");
       case "ply": return file(needed(surface(), "there are no normals yet").write("ply"), "application/octet-stream", "surface.ply");
       case "relit": return png(needed(state.relit, "there are no normals yet").under(new Float32Array(state.sun)), "relit.png");
     }
@@ -229,14 +241,32 @@ async function compare(settings, before, whole, signal, progress) {
     models?.lend(evaluation);
     const total = evaluation.total;
     const at = (/** @type {number} */ runs) => ({ done: before + settings.planners.length * runs / total, total: whole });
+    if (settings.stop_at && settings.solvers[0] === IN_PIECES) lib.loadPixelNetwork(await helpers.network());
     let rows = 0;
+    let last = "";
     for (let done = 0; done < total; done += 1) {
       const planner = evaluation.nextPlanner ?? "";
+      let steps = 0;
       evaluation.runNext(THUMBNAIL, (step, maes, small) => {
         const thumbnail = take(small);
+        steps += 1;
         const mae = Object.fromEntries(settings.solvers.map((name, i) => [name, maes[i]]));
         progress({ ...at(done), step: { name: planner, step, mae, thumbnail }, row: [] }, [thumbnail.data]);
       });
+      const tiles = evaluation.tiles();
+      if (tiles) {
+        try {
+          await helpers.solve(tiles, { signal, urgent: false, onPiece: part => progress({ ...at(done + part), step: null, row: [] }) });
+          const solution = tiles.solution();
+          const { mae = null } = solution;
+          evaluation.settle(solution);
+          solution.free();
+          if (planner !== last) progress({ ...at(done), step: null, late: { name: planner, steps, solver: IN_PIECES, mae }, row: [] });
+        } finally {
+          tiles.free();
+        }
+      }
+      last = planner;
       // A planner's rows are complete when the next one begins.
       const complete = evaluation.nextPlanner !== planner ? evaluation.report().results.slice(rows) : [];
       rows += complete.length;
@@ -247,7 +277,7 @@ async function compare(settings, before, whole, signal, progress) {
     return evaluation.report();
   } finally {
     evaluation.free();
-    void decoders.start(); // idle now, and ready when someone opens a folder
+    void helpers.start(); // idle now, and ready when someone opens a folder
   }
 }
 
@@ -279,13 +309,44 @@ function surface() {
   return shown.surface;
 }
 
-/** Frees what is shown. */
-function release() {
-  state.shown?.observations.free();
+/**
+ * Makes pictures of a step the ones that are shown.
+ * @param {import("./pkg/core/coil_ps.js").Observations} observations
+ * @param {import("./pkg/core/coil_ps.js").Solution | null} solution
+ * @param {number} scale
+ * @param {number} solved part of the pixels that the solution is made of
+ */
+function show(observations, solution, scale, solved) {
+  if (state.shown?.observations === observations) releaseSolution();
+  else release();
+  state.shown = { observations, solution, scale, surface: null };
+  state.relit = solution?.relit() ?? null;
+  return {
+    image: take(observations.photo(observations.count - 1, 4096)),
+    normals: solution && take(solution.normalsPicture()),
+    errors: optional(solution?.errorPicture(scale)),
+    expected: optional(solution?.uncertaintyPicture(scale)),
+    expectedMean: solution?.expectedError ?? null,
+    mae: solution?.mae ?? null,
+    unknown: solution?.unknown ?? 0,
+    invalid: solution?.invalid ?? 0,
+    solved,
+  };
+}
+
+/** Frees what was solved of what is shown. */
+function releaseSolution() {
   state.shown?.solution?.free();
   state.shown?.surface?.free();
   state.relit?.free();
-  state.shown = state.relit = null;
+  state.relit = null;
+}
+
+/** Frees what is shown. */
+function release() {
+  releaseSolution();
+  state.shown?.observations.free();
+  state.shown = null;
 }
 
 /** Frees the stack and all that rests on it. */

@@ -240,8 +240,9 @@ pub fn normals_mat(variable: &str, mask: &Mask, normals: &[Vec3]) -> Vec<u8> {
     mat::write_array(variable, &mat::Array { dims: vec![height, width, 3], values })
 }
 
-/// "pmsData/ballPNG" → "ball".
-fn object_name(dir: &str) -> String {
+/// Name of the object in a folder: "pmsData/ballPNG" → "ball".
+#[must_use]
+pub fn object_name(dir: &str) -> String {
     let last = dir.rsplit('/').next().unwrap_or(dir);
     let name = last.strip_suffix("PNG").filter(|n| !n.is_empty()).unwrap_or(last);
     if name.is_empty() { "object".into() } else { name.into() }

@@ -82,6 +82,9 @@ pub fn is_bear(raw: &RawStack) -> bool {
     raw.name == "bear" && raw.images.len() == 96
 }
 
+/// Name of [`bear76`] where it is chosen as an object of its own.
+pub const BEAR76: &str = "bear76";
+
 /// The variant of DiLiGenT's bear without its first 20 images, which are known to be bad: what protocol 128 is on.
 #[must_use]
 pub fn bear76(raw: &RawStack) -> RawStack {

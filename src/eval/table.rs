@@ -12,6 +12,7 @@ use crate::planner::oracle::ORACLE_CANDIDATES;
 use crate::planner::{self, Choice, Learned, PlanError, Setup};
 use crate::relight::Lookup;
 use crate::session::{Session, SessionError, Step};
+use crate::solve::uncertainty::StopAt;
 use crate::solve::{self, Measurements, UnknownSolver};
 use crate::stack::{Mask, Stack};
 use glam::Vec3;
@@ -41,6 +42,9 @@ pub struct Settings {
     pub draws: usize,
     /// Seed of all of them.
     pub seed: u64,
+    /// Ends a run before T lights where the first of `solvers` predicts a mean error of at most so many degrees.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stop_at: Option<f32>,
 }
 
 /// Why settings can't be used.
@@ -78,6 +82,8 @@ pub struct RunSpec {
     pub draw: usize,
     /// Seed.
     pub seed: u64,
+    /// When to end before T lights.
+    pub stop_at: Option<StopAt>,
 }
 
 impl Settings {
@@ -109,10 +115,14 @@ impl Settings {
             planner::info(name).map_err(SettingsError::Planner)?;
         }
         for name in &self.solvers {
-            solve::by_name(name)?;
+            solve::check_name(name)?;
         }
         for lookup in &self.lookups {
             lookup.parse::<Lookup>()?;
+        }
+        if let Some(degrees) = self.stop_at.filter(|d| !(*d > 0.0 && *d < 90.0)) {
+            let why = format!("{degrees} degrees is not above 0 and below 90");
+            return Err(SettingsError::Value { what: "stop_at", why });
         }
         Ok(())
     }
@@ -137,6 +147,7 @@ impl Settings {
                             lookup,
                             draw,
                             seed: self.seed,
+                            stop_at: self.stop_at.map(StopAt::new),
                         });
                     }
                 }
@@ -246,7 +257,8 @@ impl Run {
     }
 }
 
-/// Makes one run on an object and solves it with each of `solvers`. `learned` are the trained planners there are.
+/// Makes one run on an object and solves it with each of `solvers`, the first of which also says when to stop early.
+/// `learned` are the trained planners there are.
 ///
 /// # Errors
 /// [`SessionError`]: the planner is not defined there, or the camera or a solver failed.
@@ -256,10 +268,14 @@ pub fn run(
     solvers: &[String],
     learned: Option<&dyn Learned>,
 ) -> Result<Run, SessionError> {
-    run_watched(subject, spec, solvers, learned, &mut |_| ())
+    let judge = spec.stop_at.zip(solvers.first().and_then(|name| solve::by_name(name).ok()));
+    run_watched(subject, spec, solvers, learned, &mut |seen| match &judge {
+        Some((stop, solver)) => !stop.enough(&**solver, &Measurements::of(seen)),
+        None => true,
+    })
 }
 
-/// [`run`], with a look at the pictures so far after each of them.
+/// [`run`], with a look at the pictures so far after each of them; the run ends where `watch` gives `false`.
 ///
 /// # Errors
 /// As [`run`].
@@ -268,7 +284,7 @@ pub fn run_watched(
     spec: &RunSpec,
     solvers: &[String],
     learned: Option<&dyn Learned>,
-    watch: &mut dyn FnMut(&[Observation]),
+    watch: &mut dyn FnMut(&[Observation]) -> bool,
 ) -> Result<Run, SessionError> {
     let seen =
         if spec.planner == ALL_LIGHTS { every_light(subject)? } else { plan(subject, spec, learned, watch)? };
@@ -305,7 +321,7 @@ fn plan(
     subject: &Subject,
     spec: &RunSpec,
     learned: Option<&dyn Learned>,
-    watch: &mut dyn FnMut(&[Observation]),
+    watch: &mut dyn FnMut(&[Observation]) -> bool,
 ) -> Result<Vec<Observation>, SessionError> {
     let info = planner::info(&spec.planner)?;
     let stored;
@@ -323,7 +339,9 @@ fn plan(
     while let Step::Capture(direction) = session.step()? {
         let picture = camera.capture(direction, session.seen())?;
         session.observe(picture)?;
-        watch(session.seen());
+        if !watch(session.seen()) {
+            break;
+        }
     }
     Ok(session.into_seen())
 }
@@ -347,6 +365,9 @@ pub struct Row {
     pub solver: String,
     /// Number of lights, T.
     pub lights: usize,
+    /// Lights that were taken on average, where [`Settings::stop_at`] may end runs before T.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lights_taken: Option<f64>,
     /// Repetitions.
     pub draws: usize,
     /// Seed.
@@ -379,6 +400,7 @@ impl Row {
             oracle: planner::info(&spec.planner).is_ok_and(|i| i.oracle),
             solver: solver.into(),
             lights: spec.lights,
+            lights_taken: None,
             draws: if spec.planner == ALL_LIGHTS { 1 } else { settings.draws },
             seed: spec.seed,
             mae: None,
@@ -466,7 +488,11 @@ fn summarise(
             }
         }
     }
-    row.lights = done[0].seen.len();
+    if row.planner == ALL_LIGHTS {
+        row.lights = done[0].seen.len();
+    }
+    row.lights_taken =
+        settings.stop_at.map(|_| mean(&done.iter().map(|r| r.seen.len() as f64).collect::<Vec<_>>()));
     row.maes = done.iter().filter_map(|r| r.mae[solver_index]).collect();
     if !row.maes.is_empty() {
         let m = mean(&row.maes);
@@ -549,6 +575,7 @@ fn means(results: &[Row]) -> Vec<Row> {
             mae_as_published: over(&|r| r.mae_as_published),
             effective_images: over(&|r| r.effective_images),
             deviation: over(&|r| r.deviation),
+            lights_taken: head.lights_taken.and_then(|_| over(&|r| r.lights_taken)),
             maes,
             ..head.clone()
         });
@@ -571,6 +598,7 @@ mod tests {
             lookups: vec!["nearest".into(), "soft:0.05".into()],
             draws: 3,
             seed: 1,
+            stop_at: None,
         }
     }
 
@@ -621,6 +649,21 @@ mod tests {
         let soft = rows.iter().find(|r| r.planner == "random" && r.lookup == "soft:0.05").unwrap();
         assert!(soft.effective_images.unwrap() > 1.05);
         assert_eq!(table(&stack, &settings), rows); // deterministic
+    }
+
+    #[test]
+    fn a_run_ends_where_the_predicted_error_is_low_enough() {
+        let stack = stack();
+        let mut s = settings();
+        (s.planners, s.lights, s.lookups) = (vec!["random".into()], vec![20], vec!["nearest".into()]);
+        let taken = |s: &Settings| table(&stack, s)[0].lights_taken;
+        assert_eq!(taken(&s), None);
+        s.stop_at = Some(0.01);
+        assert_eq!(taken(&s), Some(20.0));
+        s.stop_at = Some(89.0);
+        assert_eq!(taken(&s), Some(5.0), "five lights are the least");
+        s.stop_at = Some(95.0);
+        assert!(s.check().unwrap_err().to_string().contains("stop_at"));
     }
 
     #[test]

@@ -161,7 +161,19 @@ pub struct UnknownSolver {
     pub known: String,
 }
 
-/// The solver of a name in [`SOLVERS`].
+/// Refuses names that are not in [`SOLVERS`].
+///
+/// # Errors
+/// [`UnknownSolver`] with the names there are.
+pub fn check_name(name: &str) -> Result<(), UnknownSolver> {
+    let known = || SOLVERS.iter().map(|s| s.0);
+    if known().any(|n| n == name) {
+        return Ok(());
+    }
+    Err(UnknownSolver { name: name.into(), known: known().collect::<Vec<_>>().join(", ") })
+}
+
+/// The solver of a name in [`SOLVERS`]. In WebAssembly `pixel` is not among them: its network is not in the module.
 ///
 /// # Errors
 /// [`UnknownSolver`] with the names there are.
@@ -173,10 +185,12 @@ pub fn by_name(name: &str) -> Result<Box<dyn Solver>, UnknownSolver> {
         "huber" => Ok(Box::new(Irls::new(Loss::Huber))),
         "cauchy" => Ok(Box::new(Irls::new(Loss::Cauchy))),
         "sbr" => Ok(Box::new(SparseBayes::default())),
-        "pixel" => Ok(Box::new(PixelNetwork::shipped())),
-        _ => Err(UnknownSolver {
-            name: name.into(),
-            known: SOLVERS.iter().map(|s| s.0).collect::<Vec<_>>().join(", "),
-        }),
+        #[cfg(not(target_arch = "wasm32"))]
+        pixel::NAME => Ok(Box::new(PixelNetwork::shipped())),
+        _ => {
+            check_name(name)?;
+            let known = SOLVERS.iter().map(|s| s.0).filter(|&n| n != pixel::NAME);
+            Err(UnknownSolver { name: name.into(), known: known.collect::<Vec<_>>().join(", ") })
+        }
     }
 }

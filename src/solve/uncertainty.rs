@@ -10,7 +10,8 @@
 
 use super::lanes::{LANES, Lanes};
 use super::robust::{Fit, dot, fit, length};
-use super::{Measurements, Solution, SolveError, Validity};
+use super::tiles::Piece;
+use super::{Measurements, Solution, SolveError, Solver, Validity};
 use glam::Vec3;
 
 /// Residual, in units of the albedo, that is taken for possible where a fit shows none (three lights
@@ -139,6 +140,9 @@ pub fn predicted_mae(solution: &Solution) -> Option<f32> {
     (!degrees.is_empty()).then(|| (sum / degrees.len() as f64) as f32)
 }
 
+/// So many pixels are enough to predict a mean over the object after every picture.
+pub const JUDGED: usize = 4096;
+
 /// Ends a capture when the object is good enough (the idea of LAC-PS, on a continuous scale).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StopAt {
@@ -153,6 +157,25 @@ impl StopAt {
     #[must_use]
     pub fn new(degrees: f32) -> Self {
         Self { degrees, least_lights: 5 }
+    }
+
+    /// Whether these pictures are good enough, judged by `solver` on evenly spread pixels (at most [`JUDGED`] of them).
+    /// Lights in one plane are not.
+    #[must_use]
+    pub fn enough(&self, solver: &dyn Solver, pictures: &Measurements) -> bool {
+        let count = pictures.lights.len();
+        if count < self.least_lights {
+            return false;
+        }
+        let pixels = pictures.images.first().map_or(0, |image| image.len());
+        let some: Vec<u32> = (0..pixels as u32).step_by(pixels.div_ceil(JUDGED).max(1)).collect();
+        let piece = Piece::of(pictures, &some);
+        let part = piece.measurements(pictures);
+        let solved = solver.solve(&part).and_then(|mut solution| {
+            complete(&part, &mut solution)?;
+            Ok(solution)
+        });
+        solved.is_ok_and(|solution| self.met(&solution, count))
     }
 
     /// Whether `solution`, from `lights` pictures, is good enough.

@@ -1,13 +1,14 @@
 //! Comparing planners and solvers on a stack, run by run, so that the caller can pause between runs.
 
-use super::stack::{Prepared, Stack};
+use super::stack::{Prepared, Solution, Stack};
+use super::tiles::Tiles;
 use super::{fail, plain};
 use crate::camera::Observation;
 use crate::error;
 use crate::eval::{Report, Run, RunSpec, Settings, Subject, table};
 use crate::planner::{Learned, PLANNERS};
 use crate::session::SessionError;
-use crate::solve::{self, Measurements, SOLVERS};
+use crate::solve::{self, Measurements, SOLVERS, pixel};
 use glam::Vec3;
 use serde::Serialize;
 use std::rc::Rc;
@@ -44,6 +45,8 @@ pub struct Evaluation {
     specs: Vec<RunSpec>,
     runs: Vec<(RunSpec, Result<Run, SessionError>)>,
     learned: Option<Rc<dyn Learned>>,
+    /// The pictures of the last run, as long as its normals are still to be solved in pieces.
+    open: Option<Rc<Vec<Observation>>>,
 }
 
 #[derive(Serialize)]
@@ -66,7 +69,7 @@ impl Evaluation {
     ) -> Result<Self, JsError> {
         let settings: Settings = serde_wasm_bindgen::from_value(settings).map_err(fail)?;
         let specs = settings.runs().map_err(fail)?;
-        Ok(Self { of: Rc::clone(&stack.0), settings, specs, runs: Vec::new(), learned: None })
+        Ok(Self { of: Rc::clone(&stack.0), settings, specs, runs: Vec::new(), learned: None, open: None })
     }
 
     /// Lends it trained planners.
@@ -99,7 +102,8 @@ impl Evaluation {
 
     /// Makes the next run. In the first run of every planner, `onStep(step, maes, thumbnail)` is called after every
     /// picture: MAE in degrees by solver (null before three lights or without truth), and the picture with sides of
-    /// at most `size` pixels. A run that fails is a row with an error.
+    /// at most `size` pixels. A run that fails is a row with an error. The solver `pixel` takes seconds: `tiles` and
+    /// `settle` are for it.
     #[wasm_bindgen(js_name = runNext)]
     pub fn run_next(
         &mut self,
@@ -114,28 +118,60 @@ impl Evaluation {
         };
         let mut failed = None;
         let (of, settings) = (&self.of, &self.settings);
+        let judge = match (spec.stop_at, settings.solvers.first()) {
+            (Some(stop), Some(name)) => Some((stop, super::solver(name)?)),
+            _ => None,
+        };
         let mut watch = |seen: &[Observation]| {
             if spec.draw == 0 && failed.is_none() {
-                failed = report_step(of, settings, seen, spec.lights, size, on_step).err();
+                failed = report_step(of, settings, seen, size, on_step).err();
             }
+            judge.as_ref().is_none_or(|(stop, solver)| !stop.enough(&**solver, &Measurements::of(seen)))
         };
+        let in_pieces = settings.solvers.iter().position(|name| name == pixel::NAME);
+        let at_once: Vec<String> = settings.solvers.iter().filter(|n| *n != pixel::NAME).cloned().collect();
         let run = table::run_watched(
             &Subject::Stack(&of.stack),
             &spec,
-            &settings.solvers,
+            &at_once,
             self.learned.as_deref(),
             &mut watch,
         );
         if let Some(error) = failed {
             return Err(error);
         }
-        // Only the directions are of interest afterwards: the pictures can be had again.
+        self.open = None;
         let run = run.map(|mut run| {
+            if let Some(place) = in_pieces {
+                run.mae.insert(place, None);
+                let seen = run
+                    .seen
+                    .iter()
+                    .map(|o| Observation { grey: Vec::new(), rgb: Vec::new(), ..*o })
+                    .collect();
+                self.open = Some(Rc::new(std::mem::replace(&mut run.seen, seen)));
+            }
+            // Only the directions are of interest afterwards: the pictures can be had again.
             run.forget_pixels();
             run
         });
         self.runs.push((spec, run));
         Ok(())
+    }
+
+    /// The last run's normals with the solver `pixel`, where the settings ask for it: to be solved in pieces, and then
+    /// given to `settle`.
+    pub fn tiles(&self) -> Result<Option<Tiles>, JsError> {
+        self.open.as_ref().map(|seen| Tiles::new(&self.of, seen)).transpose()
+    }
+
+    /// Puts the last run's solution by `pixel` into the table.
+    pub fn settle(&mut self, solution: &Solution) {
+        self.open = None;
+        let place = self.settings.solvers.iter().position(|name| name == pixel::NAME);
+        if let (Some(place), Some((_, Ok(run)))) = (place, self.runs.last_mut()) {
+            run.mae[place] = solution.mae();
+        }
     }
 
     /// The table of the runs made so far.
@@ -150,7 +186,6 @@ fn report_step(
     of: &Prepared,
     settings: &Settings,
     seen: &[Observation],
-    lights: usize,
     size: u32,
     on_step: &js_sys::Function,
 ) -> Result<(), JsError> {
@@ -167,8 +202,7 @@ fn report_step(
         .solvers
         .iter()
         .map(|name| {
-            // Seconds a solution: only the last step is worth that.
-            if name == "pixel" && seen.len() < lights {
+            if name == pixel::NAME {
                 return None;
             }
             let truth = of.stack.truth.as_ref()?;

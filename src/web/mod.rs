@@ -15,6 +15,7 @@ mod render;
 mod serial;
 mod session;
 mod stack;
+mod tiles;
 
 pub use evaluation::{Evaluation, catalogue};
 pub use object::{CapturedObject, ObjectFiles, ObjectHeader, Pixels, decode_pixels};
@@ -27,9 +28,13 @@ pub use render::{Capture, families, materials};
 pub use serial::{Rig, SessionFile, SessionFiles, SimulatedBoard};
 pub use session::Session;
 pub use stack::{Observations, Relit, Solution, Stack, Surface};
+pub use tiles::{Tiles, Values, solve_piece};
 
+use crate::solve::pixel::{self, PixelNetwork, onnx};
+use crate::solve::{self, Solver};
 use glam::Vec3;
 use serde::Serialize;
+use std::sync::{Arc, OnceLock};
 use wasm_bindgen::prelude::*;
 
 /// What the functions that return plain objects return.
@@ -71,6 +76,8 @@ export interface Settings {
   /** Repetitions. */
   draws: number;
   seed: number;
+  /** Runs end before T lights where the first solver predicts a mean error of at most so many degrees. */
+  stop_at?: number;
 }
 
 /** One picture of a run. */
@@ -99,6 +106,7 @@ export interface ResultRow {
   oracle: boolean;
   solver: string;
   lights: number;
+  lights_taken?: number;
   draws: number;
   seed: number;
   mae: number | null;
@@ -128,6 +136,26 @@ fn fail(error: impl std::fmt::Display) -> JsError {
 fn plain(value: &impl Serialize) -> Result<JsValue, JsError> {
     let json = serde_wasm_bindgen::Serializer::json_compatible();
     value.serialize(&json).map_err(fail)
+}
+
+static LEARNED: OnceLock<PixelNetwork> = OnceLock::new();
+
+/// Gives the solver `pixel` its network: the bytes of `models/pixel.onnx`, which this module does not contain.
+#[wasm_bindgen(js_name = loadPixelNetwork)]
+pub fn load_pixel_network(bytes: &[u8]) -> Result<(), JsError> {
+    let network = onnx::read(bytes).map_err(fail)?.network;
+    LEARNED.get_or_init(|| PixelNetwork::new(Arc::new(network)));
+    Ok(())
+}
+
+fn solver(name: &str) -> Result<Box<dyn Solver>, JsError> {
+    if name != pixel::NAME {
+        return solve::by_name(name).map_err(fail);
+    }
+    match LEARNED.get() {
+        Some(network) => Ok(Box::new(network.clone())),
+        None => Err(fail("the solver 'pixel' has no network: give it to loadPixelNetwork first")),
+    }
 }
 
 fn direction(values: &[f32]) -> Result<Vec3, JsError> {

@@ -4,7 +4,7 @@ use super::{directions, fail, flat, stack::Stack};
 use crate::dataset::archive::{self, Zip};
 use crate::dataset::diligent::{self, Header};
 use crate::dataset::{Files, Limits, Memory};
-use crate::eval::Protocol;
+use crate::eval::{Protocol, protocol};
 use crate::stack::{BitDepth, Mask, RawStack};
 use wasm_bindgen::prelude::*;
 
@@ -66,6 +66,33 @@ impl ObjectFiles {
     #[must_use]
     pub fn objects(&self) -> Vec<String> {
         diligent::find_objects(self.files())
+    }
+
+    /// Names of all objects that can be chosen: those of the folders in their order, and after DiLiGenT's bear its
+    /// variant without the bad first 20 images, `bear76` (see `CapturedObject.bear76`).
+    #[must_use]
+    pub fn names(&self) -> Vec<String> {
+        let mut names = Vec::new();
+        for folder in self.objects() {
+            let name = diligent::object_name(&folder);
+            let bear = name == "bear";
+            names.push(name);
+            if bear {
+                names.push(protocol::BEAR76.into());
+            }
+        }
+        names
+    }
+
+    /// Folder of the object `name` of `names`; of the first object where there is none of this name.
+    #[wasm_bindgen(js_name = folderOf)]
+    #[must_use]
+    pub fn folder_of(&self, name: &str) -> String {
+        let name = if name == protocol::BEAR76 { "bear" } else { name };
+        let mut folders = self.objects();
+        let place = folders.iter().position(|folder| diligent::object_name(folder) == name).unwrap_or(0);
+        // Where there is no object at all, reading the top folder says what is missing.
+        if folders.is_empty() { String::new() } else { folders.swap_remove(place) }
     }
 
     /// Reads and checks everything of the object in `folder` but its images.
@@ -293,6 +320,13 @@ impl CapturedObject {
     pub fn to_zip(&self) -> Result<Vec<u8>, JsError> {
         let files = diligent::write_object(&self.0).map_err(fail)?;
         archive::write_zip(&files).map_err(fail)
+    }
+
+    /// The variant of DiLiGenT's bear without its first 20 images, which are known to be bad; undefined for all else.
+    #[must_use]
+    pub fn bear76(&self) -> Option<CapturedObject> {
+        let variant = || RawStack { name: protocol::BEAR76.into(), ..protocol::bear76(&self.0) };
+        protocol::is_bear(&self.0).then(|| Self(variant()))
     }
 
     /// The linear stack that a protocol (`official` or `128`) makes of it.

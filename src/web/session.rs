@@ -63,7 +63,7 @@ impl Session {
 
     /// Unit normals of the mask pixels, three numbers each, from the pictures so far (at least three).
     pub fn normals(&self, solver: &str) -> Result<Vec<f32>, JsError> {
-        let solver = crate::solve::by_name(solver).map_err(fail)?;
+        let solver = super::solver(solver)?;
         let solution = self.0.solve(&*solver, usize::MAX).map_err(fail)?;
         Ok(flat(&solution.normals))
     }

@@ -1,6 +1,7 @@
 //! Stacks, the pictures a run takes of them, what solvers make of these.
 
 use super::picture::Picture;
+use super::tiles::Tiles;
 use super::{direction, directions, fail, flat};
 use crate::camera::{Camera, Observation};
 use crate::dataset::lp::write_lp;
@@ -114,7 +115,7 @@ impl Stack {
             let picture = camera.capture(d, &seen).map_err(fail)?;
             seen.push(picture);
         }
-        Ok(Observations { of: Rc::clone(&self.0), seen })
+        Ok(Observations { of: Rc::clone(&self.0), seen: Rc::new(seen) })
     }
 }
 
@@ -122,7 +123,7 @@ impl Stack {
 #[wasm_bindgen]
 pub struct Observations {
     pub(super) of: Rc<Prepared>,
-    pub(super) seen: Vec<Observation>,
+    pub(super) seen: Rc<Vec<Observation>>,
 }
 
 #[wasm_bindgen]
@@ -154,12 +155,17 @@ impl Observations {
 
     /// Normals from all of them.
     pub fn solve(&self, solver: &str) -> Result<Solution, JsError> {
-        let solver = solve::by_name(solver).map_err(fail)?;
+        let solver = super::solver(solver)?;
         let measurements = Measurements::of(&self.seen);
         let mut solution = solver.solve(&measurements).map_err(fail)?;
         uncertainty::complete(&measurements, &mut solution).map_err(fail)?;
         let errors = self.of.stack.truth.as_ref().map(|truth| error::error_map(&solution.normals, truth));
-        Ok(Solution { of: Rc::clone(&self.of), solution, errors })
+        Ok(Solution::of(&self.of, solution, errors))
+    }
+
+    /// The same in pieces, for a solver that takes seconds.
+    pub fn tiles(&self) -> Result<Tiles, JsError> {
+        Tiles::new(&self.of, &self.seen)
     }
 }
 
@@ -172,6 +178,10 @@ pub struct Solution {
 }
 
 impl Solution {
+    pub(super) fn of(of: &Rc<Prepared>, solution: solve::Solution, errors: Option<error::ErrorMap>) -> Self {
+        Self { of: Rc::clone(of), solution, errors }
+    }
+
     fn mask(&self) -> &Mask {
         &self.of.stack.mask
     }
@@ -254,17 +264,18 @@ impl Solution {
     #[wasm_bindgen(getter, js_name = expectedError)]
     #[must_use]
     pub fn expected_error(&self) -> Option<f64> {
-        let degrees = self.solution.uncertainty.as_ref()?;
-        Some(degrees.iter().map(|&d| f64::from(d)).sum::<f64>() / degrees.len().max(1) as f64)
+        uncertainty::predicted_mae(&self.solution).map(f64::from)
     }
 
-    /// Column and row in the image, normal and (where known) error of the pixel at a position of the pictures.
+    /// Column and row in the image, normal, expected error and (where known) error of the pixel at a position of the
+    /// pictures.
     #[must_use]
     pub fn pixel(&self, x: u32, y: u32) -> Option<Vec<f32>> {
         let p = self.at(x, y)?;
         let (column, row) = self.mask().position(p);
         let mut values = vec![column as f32, row as f32];
         values.extend(self.solution.normals[p].to_array());
+        values.push(self.solution.uncertainty.as_ref().map_or(f32::NAN, |u| u[p]));
         values.extend(self.errors.as_ref().map(|e| e.degrees[p]));
         Some(values)
     }

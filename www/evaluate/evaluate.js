@@ -55,6 +55,9 @@ import { mountSettings } from "./settings_panel.js";
  * @property {ReturnType<typeof makeActions>} actions
  */
 
+/** A step that is no longer wanted need not end at once: a new worker would have to open the object again. */
+const VIEW_PATIENCE_MS = 2000;
+
 /** @type {Direction} */
 const FIRST_SUN = [-0.38, 0.46, 0.803];
 
@@ -109,14 +112,20 @@ function makeActions(page, store) {
   const { engine } = page;
   let opening = new AbortController();
   let running = new AbortController();
+  let viewing = new AbortController();
 
   const refresh = newestOnly(async () => {
     const { shown: { planner, solver, step }, scale, runs, ran } = store.state;
     const asked = (runs.get(planner) ?? []).slice(0, step).map(taken => taken.step.requested);
     if (!asked.length || !ran) return;
-    try {
-      store.update({ view: await engine.call("view", { asked, lookup: ran.lookups[0], solver, scale }) });
+    const { signal } = viewing = new AbortController();
+    const onProgress = (/** @type {StepView} */ view) => {
+      if (signal.aborted) return;
+      store.update({ view });
       relight();
+    };
+    try {
+      onProgress(await engine.call("view", { asked, lookup: ran.lookups[0], solver, scale }, { signal, onProgress, patience: VIEW_PATIENCE_MS }));
       if (planner in LEARNED) look();
       else store.update({ insight: null });
     } catch (error) {
@@ -198,6 +207,7 @@ function makeActions(page, store) {
     /** Runs the settings on the object; ends a run that is under way. */
     async run() {
       running.abort();
+      viewing.abort();
       const { signal } = running = new AbortController();
       const { settings, shown } = store.state;
       const planner = settings.planners.includes(shown.planner) ? shown.planner : settings.planners[settings.planners.length > 1 ? 1 : 0];
@@ -215,10 +225,11 @@ function makeActions(page, store) {
         const planners = [planner, ...settings.planners.filter(name => name !== planner)];
         const made = await engine.call("run", { settings: { ...settings, planners } }, {
           signal,
-          onProgress: ({ done, total, what, step, row }) => {
+          onProgress: ({ done, total, what, step, late, row }) => {
             if (signal.aborted) return;
             const { runs, rows, shown: now } = store.state;
             store.update({ running: { done, total, what }, ...(row.length ? { rows: [...rows, ...row] } : {}) });
+            if (late) store.update({ runs: withError(runs, late) });
             if (!step) return;
             const steps = [...(runs.get(step.name) ?? []), step];
             store.update({ runs: new Map(runs).set(step.name, steps) });
@@ -254,12 +265,14 @@ function makeActions(page, store) {
       if (patch.planner && patch.step === undefined) shown.step = steps;
       shown.step = Math.min(Math.max(shown.step, 1), Math.max(steps, 1));
       store.update({ shown });
+      viewing.abort(); // what is still being solved is of no interest any more
       refresh();
     },
 
     /** @param {number} scale degrees */
     rescale(scale) {
       store.update({ scale });
+      viewing.abort();
       refresh();
     },
 
@@ -270,6 +283,16 @@ function makeActions(page, store) {
     },
   };
   return actions;
+}
+
+/**
+ * Puts the error of a step in that was solved after the run.
+ * @param {State["runs"]} runs
+ * @param {import("../messages.js").LateError} late
+ */
+function withError(runs, { name, steps, solver, mae }) {
+  const run = (runs.get(name) ?? []).map((step, i) => i + 1 === steps ? { ...step, mae: { ...step.mae, [solver]: mae } } : step);
+  return new Map(runs).set(name, run);
 }
 
 /** What can be done when an object can't be opened. */

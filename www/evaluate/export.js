@@ -20,6 +20,7 @@ export const EXPORTS = [
   { name: "Error map (PNG)", ready: state => Boolean(state.view?.errors), save: (page, state) => saveFromWorker(page, state, "errors") },
   { name: "Picture (PNG)", ready: state => state.view !== null, save: (page, state) => saveFromWorker(page, state, "image") },
   { name: "Surface (glTF)", ready: solved, save: (page, state) => saveFromWorker(page, state, "glb") },
+  { name: "Surface (OBJ)", ready: solved, save: (page, state) => saveFromWorker(page, state, "obj") },
   { name: "Surface (PLY)", ready: solved, save: (page, state) => saveFromWorker(page, state, "ply") },
   { name: "Relit picture (PNG)", ready: state => state.relit !== null, save: (page, state) => saveFromWorker(page, state, "relit") },
 ];

@@ -91,12 +91,13 @@ export function mountMaps(root, { page, store, actions }) {
     const pixel = await page.engine.call("pixel", { x, y }).catch(() => null);
     readout.textContent = !pixel ? "" : `Pixel ${pixel.x}, ${pixel.y}`
       + (pixel.normal ? `: normal ${pixel.normal.map(v => v.toFixed(3)).join(", ")}` : "")
-      + (pixel.error === null ? "" : `, error ${pixel.error.toFixed(2)}°`);
+      + (pixel.error === null ? "" : `, error ${pixel.error.toFixed(1)}°`)
+      + (pixel.expected === null ? "" : `, expected ${pixel.expected.toFixed(1)}°`);
   });
 
   store.watch(["view"], ({ view, shown }) => {
     showTaken();
-    normals.show(view?.normals ?? null, `from ${shown.step} lights${view?.invalid ? `, ${view.invalid} pixels unsolved` : ""}`);
+    normals.show(view?.normals ?? null, `${preview(view)}from ${shown.step} lights${view?.invalid ? `, ${view.invalid} pixels unsolved` : ""}`);
     if (view && !view.errors && view.expected) kind.value = "expected";
     showErrors();
   });
@@ -120,7 +121,7 @@ export function mountMaps(root, { page, store, actions }) {
     const { view } = store.state;
     const expected = kind.value === "expected";
     const mean = expected ? view?.expectedMean : view?.mae;
-    const text = typeof mean === "number" ? `mean ${mean.toFixed(2)}°` : "";
+    const text = typeof mean === "number" ? `${preview(view)}mean ${mean.toFixed(2)}°` : "";
     errors.show((expected ? view?.expected : view?.errors) ?? null, view?.unknown && !expected ? `${text}, ${view.unknown} pixels without truth` : text);
     errors.hint.textContent = expected ? "This solver does not say how sure it is" : "Errors need true normals and three lights";
   }
@@ -181,4 +182,9 @@ export function mountMaps(root, { page, store, actions }) {
       page.problem("The scale can't be drawn", error);
     }
   });
+}
+
+/** Says how much of a coarse preview is solved. @param {import("../messages.js").StepView | null} view */
+function preview(view) {
+  return view && view.solved < 1 ? `${(100 * view.solved).toFixed(0)} % solved: ` : "";
 }

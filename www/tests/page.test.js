@@ -320,6 +320,58 @@ test("planners by solvers make a matrix, and each cell shows its run", async () 
   });
 });
 
+test("the learned solver runs in pieces, in several workers: the same to the bit as in one, with a preview, and it can be cancelled", async () => {
+  await withPage(QUICK, async page => {
+    await tableDone(page);
+    const got = await page.evaluate(async () => {
+      const at = (/** @type {string} */ path) => new URL(path, location.href).href;
+      /** @type {typeof import("../pkg/core/coil_ps.js")} */
+      const lib = await import(at("pkg/core/coil_ps.js"));
+      const { Helpers } = await import(at("helpers.js"));
+      const module = WebAssembly.compileStreaming(fetch(at("pkg/core/coil_ps_bg.wasm")));
+      await lib.default({ module_or_path: await module });
+      lib.loadPixelNetwork(new Uint8Array(await (await fetch(at("models/pixel.onnx"))).arrayBuffer()));
+      const capture = lib.Capture.sculpture("blob:3", "red-phenolic", 72);
+      while (capture.done < capture.total) capture.takeNext();
+      const stack = capture.finish().prepare("official");
+      const observations = stack.observe(stack.lights().subarray(0, 18), "nearest");
+      const helpers = new Helpers(module);
+      const both = (/** @type {import("../pkg/core/coil_ps.js").Solution} */ s) => [s.normals(), s.albedo(), s.errors() ?? [], s.expectedError ?? NaN, s.mae ?? NaN].join();
+      const whole = both(observations.solve("pixel"));
+      const tiles = observations.tiles();
+      /** @type {number[]} */
+      const levels = [];
+      await helpers.solve(tiles, { signal: new AbortController().signal, urgent: true, onLevel: () => levels.push(tiles.done / tiles.total) });
+      const cancelled = new AbortController();
+      const half = observations.tiles();
+      const end = await helpers.solve(half, { signal: cancelled.signal, urgent: true, onPiece: () => cancelled.abort() })
+        .then(() => "finished", (/** @type {Error} */ error) => error.name);
+      const again = observations.tiles();
+      await helpers.solve(again, { signal: new AbortController().signal, urgent: true });
+      return { same: both(tiles.solution()) === whole, again: both(again.solution()) === whole, levels, end, left: half.total - half.done, workers: navigator.hardwareConcurrency };
+    });
+    assert.ok(got.same, "pieces give what one call gives");
+    assert.equal(got.levels.length, 3);
+    assert.ok(got.levels[0] < 0.05, `the first preview rests on ${100 * got.levels[0]} % of the pixels`);
+    assert.equal(got.end, "AbortError");
+    assert.ok(got.left > 0, "it was cancelled in the middle");
+    assert.ok(got.again, "the workers are good for the next");
+    console.log(`${got.workers} helpers`);
+  });
+});
+
+test("the learned solver in the table and on the maps", async () => {
+  await withPage(QUICK.replace("draws=2", "draws=1&solvers=ls,pixel"), async page => {
+    await tableDone(page);
+    for (const row of await table(page)) assert.ok(parseFloat(row[3]) < parseFloat(row[2]), `learned ${row[3]}, least squares ${row[2]}`);
+    await page.getByLabel("Solver shown").selectOption("pixel");
+    await page.waitForFunction(() => /^from 6 lights/.test(document.querySelector(".map-normals .note")?.textContent ?? ""));
+    const [row] = (await table(page)).filter(cells => cells[0] === "DC05 ring + vertical");
+    await page.waitForFunction(mae => document.querySelector(".map-errors .note")?.textContent === `mean ${mae}`, row[3]);
+    assert.match(await page.locator("#dome .caption").first().innerText(), new RegExp(`Mean error ${row[3].replace("°", "")}`));
+  });
+});
+
 test("the surface is integrated, turned with keys, and saved as a mesh", async () => {
   await withPage(QUICK, async page => {
     await tableDone(page);

@@ -8,6 +8,7 @@ use coil_ps::eval::table::{self, ALL_LIGHTS};
 use coil_ps::eval::{Protocol, Report, Row, Run, RunSpec, Settings, Subject};
 use coil_ps::planner::Learned;
 use coil_ps::session::SessionError;
+use coil_ps::solve::uncertainty::StopAt;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -36,6 +37,9 @@ pub struct EvalArgs {
     /// Repetitions; deterministic planners start turned or jittered in all but the first.
     #[arg(long, default_value_t = 30)]
     draws: usize,
+    /// End a run before all lights once the first solver predicts a mean error of at most this: 8deg.
+    #[arg(long, value_name = "DEGREES")]
+    stop_at: Option<StopAt>,
     /// Seed of all repetitions.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -61,6 +65,7 @@ pub fn run(args: EvalArgs) -> anyhow::Result<ExitCode> {
         lookups: args.lookup,
         draws: args.draws,
         seed: args.seed,
+        stop_at: args.stop_at.map(|stop| stop.degrees),
     };
     let runs = settings.runs()?;
     #[cfg(feature = "policy")]
@@ -157,6 +162,9 @@ fn text_table(report: &Report) -> String {
             report.settings.seed
         );
         let mut lines = vec![header(&objects, &bits)];
+        if report.settings.stop_at.is_some() {
+            lines[0].push("lights taken".into());
+        }
         for planner in &report.settings.planners {
             let of = |object: &str| rows.iter().find(|r| r.planner == *planner && r.object == object);
             let oracle = rows.iter().any(|r| r.planner == *planner && r.oracle);
@@ -165,6 +173,9 @@ fn text_table(report: &Report) -> String {
             let shown = of("mean").or_else(|| of(objects[0]));
             line.push(shown.and_then(|r| r.effective_images).map_or(String::new(), |v| format!("{v:.1}")));
             line.push(shown.and_then(|r| r.deviation).map_or(String::new(), |v| format!("{v:.1}°")));
+            if report.settings.stop_at.is_some() {
+                line.push(shown.and_then(|r| r.lights_taken).map_or(String::new(), |v| format!("{v:.1}")));
+            }
             lines.push(line);
         }
         text += &output::align(&lines);
@@ -227,6 +238,7 @@ mod tests {
             lookups: vec!["nearest".into()],
             draws: 2,
             seed: 1,
+            stop_at: None,
         };
         let rows = table::failed_rows("thing", &settings, "no such file").unwrap();
         let text = text_table(&Report::new(settings, rows));

@@ -121,7 +121,7 @@ impl Selection {
 
 fn ready(raw: RawStack, protocol: Protocol, bear76: bool) -> anyhow::Result<Stack> {
     let raw = if bear76 && protocol::is_bear(&raw) {
-        RawStack { name: "bear76".into(), ..protocol::bear76(&raw) }
+        RawStack { name: protocol::BEAR76.into(), ..protocol::bear76(&raw) }
     } else {
         raw
     };

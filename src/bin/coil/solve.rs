@@ -89,8 +89,14 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
 /// Solves one object; its expected and true mean error where both are known.
 fn one(subject: &Subject, solver: &dyn solve::Solver, args: &Args) -> anyhow::Result<Option<(f64, f64)>> {
     let lookup = Lookup::Nearest;
-    let spec =
-        RunSpec { planner: args.planner.clone(), lights: args.lights, lookup, draw: 0, seed: args.seed };
+    let spec = RunSpec {
+        planner: args.planner.clone(),
+        lights: args.lights,
+        lookup,
+        draw: 0,
+        seed: args.seed,
+        stop_at: None,
+    };
     let seen = table::run(subject, &spec, &[], None)?.seen;
     // Planners look back only, so stopping early and cutting the whole run short are the same.
     let counts = if args.stop_at.is_some() { 3..=seen.len() } else { seen.len()..=seen.len() };

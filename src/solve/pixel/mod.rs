@@ -13,7 +13,12 @@ use super::uncertainty::Calibration;
 use super::{Irls, LeastSquares, Loss, Measurements, Solution, SolveError, Solver, Validity};
 use glam::Vec3;
 use network::{INPUTS, Network, OUTPUTS, Tape, WIDTH, Wide};
-use std::sync::{Arc, LazyLock};
+use std::sync::Arc;
+#[cfg(not(target_arch = "wasm32"))]
+use std::sync::LazyLock;
+
+/// Name of the solver.
+pub const NAME: &str = "pixel";
 
 /// Relative residual at which half of the correction is applied.
 const HALF_TRUST: f32 = 0.01;
@@ -133,14 +138,17 @@ impl Start {
     }
 }
 
-/// The model that comes with the crate; `models/pixel.md` is its card.
+/// The model that comes with the crate; `models/pixel.md` is its card. The page fetches it when it is first used.
+#[cfg(not(target_arch = "wasm32"))]
 pub const SHIPPED: &[u8] = include_bytes!("../../../models/pixel.onnx");
 
+#[cfg(not(target_arch = "wasm32"))]
 static NETWORK: LazyLock<Arc<Network>> =
     LazyLock::new(|| Arc::new(onnx::read(SHIPPED).expect("the committed file is valid").network));
 
 impl PixelNetwork {
     /// The solver with the network that comes with the crate.
+    #[cfg(not(target_arch = "wasm32"))]
     #[must_use]
     pub fn shipped() -> Self {
         Self { network: Arc::clone(&NETWORK) }
@@ -155,7 +163,7 @@ impl PixelNetwork {
 
 impl Solver for PixelNetwork {
     fn name(&self) -> &'static str {
-        "pixel"
+        NAME
     }
 
     fn solve(&self, measurements: &Measurements) -> Result<Solution, SolveError> {

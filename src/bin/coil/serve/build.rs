@@ -213,10 +213,14 @@ impl Builder {
         Ok(())
     }
 
-    /// Puts the trained planners' networks beside the module that runs them, with a list of those there are.
+    /// Puts the trained networks beside the modules that run them: the pixel solver's, and the planners' with a list of
+    /// those there are.
     fn copy_models(&self) -> anyhow::Result<()> {
         let to = self.page_dir().join("models");
         fs::create_dir_all(&to).with_context(|| format!("cannot make {}", to.display()))?;
+        let pixel = self.root.join("models/pixel.onnx");
+        fs::copy(&pixel, to.join("pixel.onnx"))
+            .with_context(|| format!("cannot copy {}", pixel.display()))?;
         let mut names = Vec::new();
         for entry in fs::read_dir(self.root.join("models")).context("cannot list models/")? {
             let folder = entry?.path();
