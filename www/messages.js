@@ -99,12 +99,13 @@
  * @property {{ body: { settings: Settings }, reply: Report, progress: { done: number, total: number, what?: string, step: RunStep | null, late?: LateError, row: ResultRow[] } }} run
  * @property {{ body: { asked: Direction[], lookup: string, solver: string, scale: number }, reply: StepView, progress: StepView }} view
  * @property {{ body: { planner: string }, reply: Insight | null, progress: never }} insight
+ * @property {{ body: { asked: Direction[], lookup: string }, reply: number | null, progress: never }} score
  * @property {{ body: { light: Direction }, reply: Picture | null, progress: never }} relight
  * @property {{ body: { yaw: number, tilt: number, size: number }, reply: Picture | null, progress: never }} surface
  * @property {{ body: { index: number, size: number }, reply: Picture, progress: never }} photo
  * @property {{ body: { x: number, y: number }, reply: PixelInfo | null, progress: never }} pixel
- * @property {{ body: { scale: number, width: number }, reply: Picture, progress: never }} colours
- * @property {{ body: { what: "normals" | "errors" | "image" | "relit" | "lp" | "object" | "glb" | "ply" | "obj" }, reply: { bytes: ArrayBuffer, type: string, name: string }, progress: never }} export
+ * @property {{ body: { width: number }, reply: Picture, progress: never }} colours
+ * @property {{ body: { what: "normals" | "errors" | "expected" | "image" | "relit" | "surface" | "lp" | "object" | "glb" | "ply" | "obj" }, reply: { bytes: ArrayBuffer, type: string, name: string }, progress: never }} export
  */
 
 /** @typedef {keyof Calls} Kind */

@@ -40,6 +40,15 @@ function whole(text, low, high, fallback) {
 }
 
 /**
+ * When runs end early; nothing where `degrees` makes no sense.
+ * @param {number} degrees
+ * @returns {Pick<Settings, "stop_at">}
+ */
+export function stopAt(degrees) {
+  return degrees > 0 && degrees < 90 ? { stop_at: degrees } : {};
+}
+
+/**
  * The settings in an address (`location.hash`); what it lacks or garbles is the default.
  * @param {string} hash
  * @returns {{ settings: Settings, sculpture: Sculpture }}
@@ -57,6 +66,7 @@ export function fromHash(hash) {
       lookups: names(fields.get("lookup"), DEFAULTS.lookups).slice(0, 1),
       draws: whole(fields.get("draws"), 1, 1000, DEFAULTS.draws),
       seed: whole(fields.get("seed"), 0, 2 ** 32 - 1, DEFAULTS.seed),
+      ...stopAt(Number(fields.get("stop"))),
     },
     sculpture: {
       kind: "sculpture",
@@ -82,6 +92,7 @@ export function toHash(settings, sculpture) {
     draws: String(settings.draws),
     seed: String(settings.seed),
   });
+  if (settings.stop_at) fields.set("stop", String(settings.stop_at));
   if (sculpture) {
     fields.set("object", `${sculpture.family}:${sculpture.seed}`);
     fields.set("material", sculpture.material);

@@ -49,6 +49,7 @@ const state = {
   relit: null,
   /** @type {Direction} */
   sun: [0, 0, 1],
+  turn: { yaw: 0, tilt: 0 },
 };
 
 /**
@@ -141,6 +142,22 @@ const answers = {
     }
   },
 
+  /** Mean error of the learned solver on these pictures, when nothing else is to be solved; null where it is not known. */
+  async score({ asked, lookup }, { signal }) {
+    const observations = needed(state.stack, "open an object first").observe(new Float32Array(asked.flat()), lookup);
+    const tiles = observations.tiles();
+    observations.free();
+    try {
+      await helpers.solve(tiles, { signal, urgent: false });
+      const solution = tiles.solution();
+      const { mae = null } = solution;
+      solution.free();
+      return mae;
+    } finally {
+      tiles.free();
+    }
+  },
+
   insight({ planner }) {
     const observations = state.shown?.observations;
     const insight = observations && models?.insight(planner, observations);
@@ -165,6 +182,7 @@ const answers = {
   },
 
   surface({ yaw, tilt, size }) {
+    state.turn = { yaw, tilt };
     return optional(surface()?.picture(yaw, tilt, size));
   },
 
@@ -194,6 +212,8 @@ const answers = {
       case "lp": return file(new TextEncoder().encode(observations.lightList()), "text/plain", "lights.lp");
       case "normals": return file(solved().normalsPng(), "image/png", "normals.png");
       case "errors": return file(needed(solved().errorPng(scale), "the true normals are not known"), "image/png", `error-0-${scale}deg.png`);
+      case "expected": return png(needed(solved().uncertaintyPicture(scale), "the solver does not say how sure it is"), `expected-error-0-${scale}deg.png`);
+      case "surface": return png(needed(surface(), "there are no normals yet").picture(state.turn.yaw, state.turn.tilt, 1024), "surface.png");
       case "image": return png(observations.photo(observations.count - 1, 4096), "picture.png");
       case "glb": return file(needed(surface(), "there are no normals yet").write("glb"), "model/gltf-binary", "surface.glb");
       case "obj": return file(needed(surface(), "there are no normals yet").write("obj"), "model/obj", "surface.obj");

@@ -44,7 +44,8 @@ export function mountChart(root, { store, actions }) {
       return;
     }
     host.replaceChildren(plot(series, Math.max(280, host.clientWidth), state, actions));
-    note.textContent = `First draw of each planner, ${solverLabel(state.shown.solver).toLowerCase()}. Lower is better; the oracle sees the truth.`;
+    const missing = state.runs.size && !state.running && series.some(({ planner, points }) => points.length < (state.runs.get(planner)?.length ?? 0) - FIRST);
+    note.textContent = `${missing ? "The curves are being completed. " : ""}First draw of each planner, ${solverLabel(state.shown.solver).toLowerCase()}. Lower is better; the oracle sees the truth.`;
   };
   store.watch(["runs", "shown", "object"], redraw);
   let width = 0;

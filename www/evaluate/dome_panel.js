@@ -24,6 +24,7 @@ export function mountDome(root, { page, store, actions }) {
         <select class="solver" aria-label="Solver shown"></select>
       </div>
     </div>
+    <p class="note about"></p>
     <div class="host"></div>
     <div class="dome-tools" role="group" aria-label="View of the dome">
       <button type="button" class="button small" data-turn="-1 0" aria-label="Turn left">←</button>
@@ -43,6 +44,7 @@ export function mountDome(root, { page, store, actions }) {
     <p class="caption thought"></p>
     <ol class="strip" aria-label="Pictures taken, in order" tabindex="0"></ol>`;
   const host = find(root, ".host", HTMLElement);
+  const about = find(root, ".about", HTMLElement);
   const planner = find(root, ".planner", HTMLSelectElement);
   const solver = find(root, ".solver", HTMLSelectElement);
   const scrub = find(root, "#scrub", HTMLInputElement);
@@ -128,6 +130,10 @@ export function mountDome(root, { page, store, actions }) {
   store.watch(["stack"], ({ stack }) => {
     dome.update({ candidates: stack?.lights ?? [], reach: stack?.reach ?? 90, lights: [], current: 0, sun: null });
     tip.hidden = true;
+  });
+  store.watch(["shown", "catalogue"], ({ shown, catalogue }) => {
+    const found = catalogue?.planners.find(p => p.name === shown.planner);
+    about.textContent = found ? `${found.label}: ${found.about}.` : "";
   });
   store.watch(["runs", "shown"], ({ runs, shown, sun }) => {
     planner.value = shown.planner;

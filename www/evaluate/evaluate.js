@@ -55,6 +55,8 @@ import { mountSettings } from "./settings_panel.js";
  * @property {ReturnType<typeof makeActions>} actions
  */
 
+/** The solver whose error is not known after every light of a run: it takes seconds. */
+const SLOW = "pixel";
 /** A step that is no longer wanted need not end at once: a new worker would have to open the object again. */
 const VIEW_PATIENCE_MS = 2000;
 
@@ -151,6 +153,30 @@ function makeActions(page, store) {
     }
   });
 
+  /**
+   * Completes the curves of the solver that is too slow to be asked after every light, while nothing else is to be done.
+   * @param {Settings} settings
+   * @param {AbortSignal} signal ends it
+   */
+  async function complete(settings, signal) {
+    const first = store.state.shown.planner;
+    const names = [first, ...settings.planners.filter(name => name !== first)];
+    try {
+      for (const name of names) {
+        const run = store.state.runs.get(name) ?? [];
+        for (let steps = run.length; steps >= 3; steps -= 1) {
+          if (typeof run[steps - 1].mae[SLOW] === "number") continue;
+          const asked = run.slice(0, steps).map(taken => taken.step.requested);
+          const mae = await engine.call("score", { asked, lookup: settings.lookups[0] }, { signal, patience: VIEW_PATIENCE_MS });
+          if (signal.aborted) return;
+          store.update({ runs: withError(store.state.runs, { name, steps, solver: SLOW, mae }) });
+        }
+      }
+    } catch (error) {
+      page.problem("The learned solver's curves can't be completed", error);
+    }
+  }
+
   const actions = {
     /**
      * Opens an object and runs the settings on it.
@@ -183,9 +209,9 @@ function makeActions(page, store) {
       page.announce("Opening was cancelled.");
     },
 
-    /** @param {Partial<Settings>} patch */
-    change(patch) {
-      store.update({ settings: { ...store.state.settings, ...patch } });
+    /** @param {Settings} settings */
+    change(settings) {
+      store.update({ settings });
       actions.link();
     },
 
@@ -242,6 +268,7 @@ function makeActions(page, store) {
         const report = { ...made, settings, results: made.results.toSorted((a, b) => place(a) - place(b)) };
         store.update({ report, rows: report.results });
         page.announce(summary(report));
+        if (store.state.object?.truth && settings.solvers.includes(SLOW)) complete(settings, signal);
       } catch (error) {
         if (isAbort(error) && running.signal === signal) page.announce("The run was cancelled.");
         page.problem("The run has failed", error);

@@ -1,4 +1,5 @@
-// What one step gives: the picture, the normals, their error, and the object under another light.
+// What one step gives: the picture, the normals, their error, true and expected, the object under another light and as
+// a surface.
 
 import { newestOnly } from "../store.js";
 import { draw, find, html, set } from "../svg.js";
@@ -30,27 +31,27 @@ export function mountMaps(root, { page, store, actions }) {
   const image = figure("image", "Picture", "No picture yet");
   const normals = figure("normals", "Normals", "Normals need three lights");
   const errors = figure("errors", "Angular error", "Errors need true normals and three lights");
+  const expected = figure("expected", "Expected error", "What the solver expects of its normals, from three lights on");
   const relit = figure("relit", "Relit", "Drag the sun on the dome once there are normals");
-  grid.append(image.element, normals.element, errors.element, relit.element);
+  const surface = figure("surface", "Surface", "");
+  grid.append(...[image, normals, errors, expected, relit, surface].map(({ element }) => element));
 
   const gate = html("option", { value: "gate", disabled: true }, "Gate of the network");
   const taken = html("select", { class: "kind", "aria-label": "Picture shown" }, html("option", { value: "image" }, "Picture"), gate);
   image.element.querySelector("b")?.replaceWith(taken);
   taken.addEventListener("change", () => showTaken());
 
-  const kind = html("select", { class: "kind", "aria-label": "Error shown" },
-    html("option", { value: "errors" }, "Angular error"), html("option", { value: "expected" }, "Expected error"));
-  errors.element.querySelector("b")?.replaceWith(kind);
-  kind.addEventListener("change", () => showErrors());
-
-  const bar = html("canvas", { width: 128, height: 1, "aria-hidden": "true" });
-  const top = html("span", { class: "number" });
-  errors.element.append(html("div", { class: "scale" }, html("span", { class: "number" }, "0°"), bar, top));
+  const bars = [errors, expected].map(({ element }) => {
+    const bar = html("canvas", { width: 128, height: 1, "aria-hidden": "true" });
+    const top = html("span", { class: "number" });
+    element.append(html("div", { class: "scale" }, html("span", { class: "number" }, "0°"), bar, top));
+    return { bar, top };
+  });
 
   choice.addEventListener("change", () => actions.rescale(Number(choice.value)));
 
   /**
-   * @param {"image" | "normals" | "errors" | "relit"} id
+   * @param {"image" | "normals" | "errors" | "expected" | "relit" | "surface"} id
    * @param {string} title
    * @param {string} empty
    */
@@ -74,7 +75,7 @@ export function mountMaps(root, { page, store, actions }) {
       canvas.setAttribute("aria-label", picture ? `${title}: ${text}` : `${title}: none yet`);
     };
     show(null, "");
-    if (id === "normals" || id === "errors") {
+    if (["normals", "errors", "expected"].includes(id)) {
       canvas.addEventListener("pointermove", event => {
         const box = canvas.getBoundingClientRect();
         const scale = Math.min(box.width / canvas.width, box.height / canvas.height);
@@ -98,8 +99,8 @@ export function mountMaps(root, { page, store, actions }) {
   store.watch(["view"], ({ view, shown }) => {
     showTaken();
     normals.show(view?.normals ?? null, `${preview(view)}from ${shown.step} lights${view?.invalid ? `, ${view.invalid} pixels unsolved` : ""}`);
-    if (view && !view.errors && view.expected) kind.value = "expected";
-    showErrors();
+    errors.show(view?.errors ?? null, said("mean", view?.mae) + (view?.unknown ? `, ${view.unknown} pixels without truth` : ""));
+    expected.show(view?.expected ?? null, said("predicted mean", view?.expectedMean));
   });
 
   store.watch(["insight"], ({ insight }) => {
@@ -116,40 +117,31 @@ export function mountMaps(root, { page, store, actions }) {
     image.show(view?.image ?? null, step?.name ?? `light ${shown.step}`);
   }
 
-  /** The error against the truth, or what the solver itself expects it to be. */
-  function showErrors() {
-    const { view } = store.state;
-    const expected = kind.value === "expected";
-    const mean = expected ? view?.expectedMean : view?.mae;
-    const text = typeof mean === "number" ? `${preview(view)}mean ${mean.toFixed(2)}°` : "";
-    errors.show((expected ? view?.expected : view?.errors) ?? null, view?.unknown && !expected ? `${text}, ${view.unknown} pixels without truth` : text);
-    errors.hint.textContent = expected ? "This solver does not say how sure it is" : "Errors need true normals and three lights";
+  /** @param {string} what @param {number | null | undefined} degrees */
+  function said(what, degrees) {
+    return typeof degrees === "number" ? `${preview(store.state.view)}${what} ${degrees.toFixed(2)}°` : "";
   }
 
-  const side = html("select", { class: "kind", "aria-label": "Result shown" },
-    html("option", { value: "relit" }, "Relit"), html("option", { value: "surface" }, "Surface"));
-  relit.element.querySelector("b")?.replaceWith(side);
-  side.addEventListener("change", () => showSide());
   const turn = { yaw: -28, tilt: 18 };
-
-  /** The object under the sun, or its surface from the side. */
-  function showSide() {
-    const surface = side.value === "surface";
-    set(relit.canvas, surface
-      ? { role: "application", tabindex: 0, "aria-roledescription": "turnable surface" }
-      : { role: "img", tabindex: null, "aria-roledescription": null });
-    relit.element.classList.toggle("turnable", surface);
-    if (surface) return drawSurface();
-    const { relit: picture, sun } = store.state;
-    const { azimuth, slant } = angles(sun);
-    relit.show(picture, `${azimuth.toFixed(0)}°, ${slant.toFixed(0)}°`);
-  }
+  const integrate = html("button", { type: "button", class: "button small" }, "Show in 3-D");
+  const hint = html("span", {}, "The normals, integrated");
+  surface.hint.replaceChildren(hint, integrate);
+  let wanted = false; // integrating takes up to seconds
+  integrate.addEventListener("click", () => {
+    wanted = true;
+    drawSurface();
+    surface.canvas.focus();
+  });
+  set(surface.canvas, { role: "application", tabindex: 0, "aria-roledescription": "turnable surface" });
 
   const drawSurface = newestOnly(async () => {
-    if (!store.state.view?.normals) return relit.show(null, "");
+    const { view } = store.state;
+    const whole = Boolean(view?.normals) && view?.solved === 1;
+    integrate.hidden = !whole;
+    hint.textContent = view?.normals ? "The normals, integrated" : "A surface needs normals";
+    if (!wanted || !whole) return surface.show(null, "");
     try {
-      const picture = await page.engine.call("surface", { ...turn, size: SURFACE });
-      if (side.value === "surface") relit.show(picture, "drag or arrow keys turn it");
+      surface.show(await page.engine.call("surface", { ...turn, size: SURFACE }), "drag or arrow keys turn it");
     } catch (error) {
       page.problem("The surface can't be shown", error);
     }
@@ -160,24 +152,28 @@ export function mountMaps(root, { page, store, actions }) {
     turn.tilt = Math.min(Math.max(turn.tilt + tilt, -89), 89);
     drawSurface();
   };
-  relit.canvas.addEventListener("pointermove", event => {
-    if (side.value === "surface" && event.buttons & 1) turnBy(event.movementX / 2, event.movementY / 2);
+  surface.canvas.addEventListener("pointermove", event => {
+    if (event.buttons & 1) turnBy(event.movementX / 2, event.movementY / 2);
   });
-  relit.canvas.addEventListener("keydown", event => {
+  surface.canvas.addEventListener("keydown", event => {
     const arrow = { ArrowLeft: [-5, 0], ArrowRight: [5, 0], ArrowUp: [0, -5], ArrowDown: [0, 5] }[event.key];
     if (!arrow) return;
     event.preventDefault();
     turnBy(arrow[0], arrow[1]);
   });
 
-  store.watch(["relit"], () => { if (side.value === "relit") showSide(); });
-  store.watch(["view"], () => { if (side.value === "surface") showSide(); });
+  store.watch(["relit"], ({ relit: picture, sun }) => {
+    const { azimuth, slant } = angles(sun);
+    relit.show(picture, `light at ${azimuth.toFixed(0)}°, ${slant.toFixed(0)}°`);
+  });
+  store.watch(["view"], () => drawSurface());
   store.watch(["scale", "catalogue"], async ({ scale, catalogue }) => {
     choice.value = String(scale);
-    top.textContent = `${scale}°`;
+    for (const { top } of bars) top.textContent = `${scale}°`;
     if (!catalogue) return;
     try {
-      draw(bar, await page.engine.call("colours", { scale, width: 128 }));
+      const colours = await page.engine.call("colours", { width: 128 });
+      for (const { bar } of bars) draw(bar, colours);
     } catch (error) {
       page.problem("The scale can't be drawn", error);
     }

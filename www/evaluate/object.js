@@ -7,6 +7,8 @@ import { find, html } from "../svg.js";
 /** @typedef {import("./evaluate.js").Panel} Panel */
 /** @typedef {import("../messages.js").NamedFile} NamedFile */
 
+/** Objects that are a part of another, as people see them. @type {Record<string, string>} */
+const VARIANTS = { bear76: "bear76: without its bad first 20 images" };
 const MESH = /\.(obj|ply|stl)$/i;
 
 /**
@@ -126,7 +128,7 @@ export function mountObject(root, { page, store, actions }) {
     if (source.kind !== "files") facts.append(html("span", {}, html("b", {}, source.material), " rendered in this page"));
     for (const note of object.notes) facts.append(html("span", {}, note));
     among.hidden = object.objects.length < 2;
-    choice.replaceChildren(...object.objects.map(name => html("option", { selected: name === object.name }, name)));
+    choice.replaceChildren(...object.objects.map(name => html("option", { value: name, selected: name === object.name }, VARIANTS[name] ?? name)));
   });
   store.watch(["opening"], ({ opening }) => {
     progress.hidden = !opening;

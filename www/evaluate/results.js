@@ -7,6 +7,9 @@ import { label, seriesColour, solverLabel, swatch } from "./series.js";
 /** @typedef {import("./evaluate.js").Panel} Panel */
 /** @typedef {import("../messages.js").ResultRow} ResultRow */
 
+/** The table of more solvers than this needs the whole width. */
+const MOST_BESIDE_CHART = 2;
+
 /**
  * @param {HTMLElement} root
  * @param {Panel} panel
@@ -70,7 +73,7 @@ export function mountResults(root, { page, store, actions }) {
         line.append(html("td", { colspan: head.length - 1 }, first.error ?? ""));
         return line;
       }
-      line.append(html("td", {}, String(first.lights)));
+      line.append(html("td", {}, first.lights_taken === undefined ? String(first.lights) : first.lights_taken.toFixed(1)));
       if (solvers.length > 1) for (const row of group) line.append(cell(row));
       else line.append(html("td", { class: mark(first) }, degrees(first.mae)), html("td", {}, interval(first)));
       line.append(
@@ -92,10 +95,12 @@ export function mountResults(root, { page, store, actions }) {
       const half = row.ci95 ? (row.ci95[1] - row.ci95[0]) / 2 : 0;
       const show = html("button", { type: "button", class: "link", "aria-pressed": String(pressed), "aria-label": `${degrees(row.mae)}, ${label(catalogue, row.planner)}, ${solverLabel(row.solver)}` }, degrees(row.mae));
       show.addEventListener("click", () => actions.show({ planner: row.planner, solver: row.solver }));
-      return html("td", { class: mark(row), title: half ? `± ${half.toFixed(2)}° (95 %)` : null }, show);
+      return html("td", { class: mark(row) }, show, ...(half ? [html("small", {}, `±${half.toFixed(2)}`)] : []));
     }
 
-    const caption = ran ? `Mean angular error over ${ran.draws} ${ran.draws === 1 ? "run" : "runs"}, protocol ${ran.protocol}, look-up ${ran.lookups.join(", ")}, seed ${ran.seed}. “Off by”: mean angle between the light asked for and the light used.` : "";
+    const stop = ran?.stop_at ? ` Runs end where ${solverLabel(ran.solvers[0])} predicts at most ${ran.stop_at}°; T is the mean of what was taken.` : "";
+    root.classList.toggle("wide", solvers.length > MOST_BESIDE_CHART);
+    const caption = ran ? `Mean angular error over ${ran.draws} ${ran.draws === 1 ? "run" : "runs"}, protocol ${ran.protocol}, look-up ${ran.lookups.join(", ")}, seed ${ran.seed}. ${solvers.length > 1 && ran.draws > 1 ? "± is half of the 95 % interval. " : ""}“Off by”: mean angle between the light asked for and the light used.${stop}` : "";
     note.textContent = caption;
     scroll.replaceChildren(html("table", { "aria-labelledby": "results-title", "aria-describedby": "results-note" },
       html("thead", {}, html("tr", {}, ...head.map(text => html("th", { scope: "col" }, text)))), html("tbody", {}, ...body)));

@@ -1,5 +1,6 @@
 // What to compare, Run and Cancel.
 
+import { stopAt } from "../settings.js";
 import { find, html } from "../svg.js";
 import { solverLabel, swatch } from "./series.js";
 
@@ -22,13 +23,12 @@ export function mountSettings(root, { page, store, actions }) {
       <div class="field"><label for="lights">Lights, T</label><input id="lights" type="number" min="3" max="1000" step="1" required></div>
       <div class="field"><label for="draws">Repetitions</label><input id="draws" type="number" min="1" max="1000" step="1" required></div>
     </div>
+    <div class="field"><label for="stop-at">Stop at predicted error below, degrees</label><input id="stop-at" type="number" min="0.1" max="89" step="any" placeholder="never: always take T lights"></div>
     <div class="field"><label for="protocol">Protocol</label><select id="protocol">
       <option value="official">official: full resolution</option><option value="128">128: the papers’ tables</option></select></div>
-    <div class="pair">
-      <div class="field"><label for="lookup">Image look-up</label><select id="lookup">
-        <option value="nearest">nearest photo</option><option value="soft">soft blend</option></select></div>
-      <div class="field tau"><label for="tau">τ, radians</label><input id="tau" type="number" min="0.001" max="10" step="any" value="0.02" required></div>
-    </div>
+    <div class="field"><label for="lookup">Image look-up</label><select id="lookup">
+      <option value="nearest">nearest photo</option><option value="soft">soft blend of photos</option></select></div>
+    <div class="field tau"><label for="tau">Width of the blend, τ in radians</label><input id="tau" type="number" min="0.001" max="10" step="any" value="0.02" required></div>
     <div class="field"><label for="seed">Seed</label><input id="seed" type="number" min="0" max="4294967295" step="1" required></div>`;
   const planners = find(root, ".planners .list", HTMLElement);
   const solvers = find(root, ".solvers .list", HTMLElement);
@@ -48,7 +48,9 @@ export function mountSettings(root, { page, store, actions }) {
     const firstSolver = solvers.querySelector("input");
     firstSolver?.setCustomValidity(checked(solvers).length ? "" : "Choose at least one solver.");
     if (!root.checkValidity()) return false;
+    const { stop_at: _, ...others } = store.state.settings;
     actions.change({
+      ...others, ...stopAt(number("stop-at").valueAsNumber),
       planners: checked(planners), solvers: checked(solvers), lights: [number("lights").valueAsNumber],
       draws: number("draws").valueAsNumber, seed: number("seed").valueAsNumber, protocol: protocol.value === "128" ? "128" : "official",
       lookups: [lookup.value === "soft" ? `soft:${number("tau").valueAsNumber}` : "nearest"],
@@ -89,11 +91,12 @@ export function mountSettings(root, { page, store, actions }) {
     number("lights").value = String(settings.lights[0]);
     number("draws").value = String(settings.draws);
     number("seed").value = String(settings.seed);
+    number("stop-at").value = settings.stop_at ? String(settings.stop_at) : "";
     protocol.value = settings.protocol;
     const [kind, tau] = settings.lookups[0].split(":");
     lookup.value = kind;
     if (tau) number("tau").value = tau;
-    number("tau").disabled = kind !== "soft";
+    number("tau").disabled = find(root, ".tau", HTMLElement).hidden = kind !== "soft";
   });
   store.watch(["running", "object"], ({ running, object }) => {
     run.disabled = !object;

@@ -288,6 +288,42 @@ test("the ball's folder and a DiLiGenT root open when they are dropped", async t
   });
 });
 
+test("DiLiGenT's bear is offered with and without its bad images", async t => {
+  const data = sharedData(t);
+  if (!data) return;
+  await withPage(QUICK, async page => {
+    await page.setInputFiles("#object .folder-input", join(data, "DiLiGenT/pmsData_crop/bearPNG"));
+    await opened(page, "bear");
+    await tableDone(page);
+    assert.match(await page.locator("#object .facts").innerText(), /96 images/);
+    assert.deepEqual(await page.locator("#object .among option").allInnerTexts(), ["bear", "bear76: without its bad first 20 images"]);
+    await page.locator("#object .among select").selectOption("bear76");
+    await opened(page, "bear76");
+    await tableDone(page);
+    assert.match(await page.locator("#object .facts").innerText(), /76 images/);
+    const report = JSON.parse((await save(page, "Table (JSON, as coil eval writes it)")).toString());
+    const { stdout } = await promisify(execFile)(COIL(), ["eval", join(data, "DiLiGenT/pmsData_crop/bearPNG"), "--bear76", "--planner", "random,dc05v", "--lights", "6", "--draws", "2", "--seed", "1", "--json"]);
+    const native = JSON.parse(stdout);
+    for (const [i, row] of native.results.entries()) {
+      assert.equal(report.results[i].object, "bear76");
+      assert.ok(Math.abs(report.results[i].mae - row.mae) < 1e-3, `${row.planner}: ${report.results[i].mae} in the page, ${row.mae} native`);
+    }
+  });
+});
+
+test("runs end at a predicted error as on the command line", async () => {
+  await withPage(QUICK.replace("lights=6", "lights=12&stop=12"), async page => {
+    const { zip } = await smallObject(page);
+    const shown = JSON.parse((await save(page, "Table (JSON, as coil eval writes it)")).toString());
+    const { stdout } = await promisify(execFile)(COIL(), ["eval", zip, "--planner", "random,dc05v", "--lights", "12", "--draws", "2", "--seed", "1", "--stop-at", "12deg", "--json"]);
+    const native = JSON.parse(stdout);
+    assert.equal(shown.settings.stop_at, 12);
+    assert.deepEqual(shown.results.map((/** @type {any} */ r) => r.lights_taken), native.results.map((/** @type {any} */ r) => r.lights_taken));
+    assert.ok(shown.results.some((/** @type {any} */ r) => r.lights_taken < 12), "a run ended early");
+    assert.match(await page.locator("#results-note").innerText(), /Runs end where Least squares predicts at most 12°/);
+  });
+});
+
 test("a broken dataset is refused with file, line and what would be right; the object before it stays", async () => {
   await withPage(QUICK, async page => {
     const { folder } = await smallObject(page);

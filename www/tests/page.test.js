@@ -311,12 +311,11 @@ test("planners by solvers make a matrix, and each cell shows its run", async () 
     assert.deepEqual(await page.locator("#results thead th").allInnerTexts(), ["Planner", "T", "Least squares", "Trimmed", "Sparse Bayes", "Off by"]);
     const rows = await table(page);
     assert.equal(rows.length, 2);
-    for (const row of rows) for (const cell of row.slice(2, 5)) assert.match(cell, /^\d+\.\d\d°$/);
+    for (const row of rows) for (const cell of row.slice(2, 5)) assert.match(cell, /^\d+\.\d\d°±\d+\.\d\d$/);
     await page.getByRole("button", { name: /Random, Trimmed$/ }).click();
     await page.waitForFunction(() => [...document.querySelectorAll("#dome select")].map(s => /** @type {HTMLSelectElement} */ (s).value).join() === "random,trimmed");
-    await page.getByLabel("Error shown").selectOption("expected");
-    await page.waitForFunction(() => /mean \d/.test(document.querySelector(".map-errors .note")?.textContent ?? ""));
-    assert.ok(await isPainted(page, ".map-errors .frame canvas"), "the solver's own estimate");
+    await page.waitForFunction(() => /predicted mean \d/.test(document.querySelector(".map-expected .note")?.textContent ?? ""));
+    assert.ok(await isPainted(page, ".map-expected .frame canvas"), "the solver's own estimate");
   });
 });
 
@@ -375,18 +374,21 @@ test("the learned solver in the table and on the maps", async () => {
 test("the surface is integrated, turned with keys, and saved as a mesh", async () => {
   await withPage(QUICK, async page => {
     await tableDone(page);
-    await page.getByLabel("Result shown").selectOption("surface");
-    await page.waitForFunction(() => document.querySelector(".map-relit canvas")?.getAttribute("width") === "360");
-    assert.ok(await isPainted(page, ".map-relit .frame canvas"));
-    const canvas = page.locator(".map-relit .frame canvas");
+    await page.getByRole("button", { name: "Show in 3-D" }).click();
+    await page.waitForFunction(() => document.querySelector(".map-surface canvas")?.getAttribute("width") === "360");
+    assert.ok(await isPainted(page, ".map-surface .frame canvas"));
+    const canvas = page.locator(".map-surface .frame canvas");
     const picture = () => canvas.evaluate(c => /** @type {HTMLCanvasElement} */ (c).toDataURL());
     const before = await picture();
     await canvas.focus();
     await page.keyboard.press("ArrowRight");
-    await page.waitForFunction(old => /** @type {HTMLCanvasElement} */ (document.querySelector(".map-relit canvas")).toDataURL() !== old, before);
+    await page.waitForFunction(old => /** @type {HTMLCanvasElement} */ (document.querySelector(".map-surface canvas")).toDataURL() !== old, before);
     await page.locator("#results .menu summary").click();
-    const [file] = await Promise.all([page.waitForEvent("download"), page.getByRole("button", { name: "Surface (glTF)" }).click()]);
-    assert.equal((await readFile(await file.path())).subarray(0, 4).toString(), "glTF");
+    for (const [name, beginning] of [["Surface (glTF)", "glTF"], ["Surface (PLY)", "ply\n"], ["Surface (OBJ)", "# "]]) {
+      if (!await page.locator("#results .menu[open]").count()) await page.locator("#results .menu summary").click();
+      const [file] = await Promise.all([page.waitForEvent("download"), page.getByRole("button", { name }).click()]);
+      assert.equal((await readFile(await file.path())).subarray(0, beginning.length).toString(), beginning, name);
+    }
   });
 });
 
