@@ -93,6 +93,12 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
+    /// Ends the session with the pictures so far: they are good enough (see [`crate::solve::uncertainty::StopAt`]).
+    pub fn finish(&mut self) {
+        self.lights = self.seen.len();
+        self.pending = None;
+    }
+
     /// The pictures so far.
     #[must_use]
     pub fn seen(&self) -> &[Observation] {
@@ -124,5 +130,26 @@ impl<'a> Session<'a> {
     pub fn solve(&self, solver: &dyn Solver, count: usize) -> Result<Solution, SessionError> {
         let seen = &self.seen[..count.min(self.seen.len())];
         Ok(solver.solve(&Measurements::of(seen))?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::planner::{self, Setup};
+
+    #[test]
+    fn a_session_ends_early_where_its_pictures_are_good_enough() {
+        let setup = Setup { lights: 10, seed: 1, draw: 0, camera: None, truth: None, learned: None };
+        let planner = planner::build("dc05", &setup).unwrap();
+        let domain = Domain::Hemisphere { reach: 1.0 };
+        let mut session = Session::new(Mask::full(1, 1).unwrap(), domain, planner, 10);
+        let Step::Capture(light) = session.step().unwrap() else { panic!("a light is wanted") };
+        let (grey, rgb) = (vec![0.5], vec![[0.5; 3]]);
+        let picture = Observation { requested: light, light, grey, rgb, effective_images: 1.0, index: None };
+        session.observe(picture).unwrap();
+        assert!(matches!(session.step(), Ok(Step::Capture(_))));
+        session.finish();
+        assert_eq!((session.step().unwrap(), session.lights()), (Step::Done, 1));
     }
 }

@@ -212,7 +212,7 @@ const answers = {
       case "lp": return file(new TextEncoder().encode(observations.lightList()), "text/plain", "lights.lp");
       case "normals": return file(solved().normalsPng(), "image/png", "normals.png");
       case "errors": return file(needed(solved().errorPng(scale), "the true normals are not known"), "image/png", `error-0-${scale}deg.png`);
-      case "expected": return png(needed(solved().uncertaintyPicture(scale), "the solver does not say how sure it is"), `expected-error-0-${scale}deg.png`);
+      case "expected": return png(needed(solved().uncertaintyPicture(scale), "the solver does not say how sure it is"), `predicted-error-0-${scale}deg.png`);
       case "surface": return png(needed(surface(), "there are no normals yet").picture(state.turn.yaw, state.turn.tilt, 1024), "surface.png");
       case "image": return png(observations.photo(observations.count - 1, 4096), "picture.png");
       case "glb": return file(needed(surface(), "there are no normals yet").write("glb"), "model/gltf-binary", "surface.glb");

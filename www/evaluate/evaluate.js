@@ -145,7 +145,7 @@ function makeActions(page, store) {
   });
 
   const relight = newestOnly(async () => {
-    if (!store.state.view?.normals) return;
+    if (!store.state.view?.normals) return store.update({ relit: null });
     try {
       store.update({ relit: await engine.call("relight", { light: store.state.sun }) });
     } catch (error) {

@@ -18,7 +18,7 @@ export const EXPORTS = [
   { name: "Lights of this run (.lp)", ready: state => state.view !== null, save: (page, state) => saveFromWorker(page, state, "lp") },
   { name: "Normals (16-bit PNG)", ready: solved, save: (page, state) => saveFromWorker(page, state, "normals") },
   { name: "Error map (PNG)", ready: state => Boolean(state.view?.errors), save: (page, state) => saveFromWorker(page, state, "errors") },
-  { name: "Expected error map (PNG)", ready: state => Boolean(state.view?.expected), save: (page, state) => saveFromWorker(page, state, "expected") },
+  { name: "Predicted error map (PNG)", ready: state => Boolean(state.view?.expected), save: (page, state) => saveFromWorker(page, state, "expected") },
   { name: "Picture (PNG)", ready: state => state.view !== null, save: (page, state) => saveFromWorker(page, state, "image") },
   { name: "Surface (glTF)", ready: solved, save: (page, state) => saveFromWorker(page, state, "glb") },
   { name: "Surface (OBJ)", ready: solved, save: (page, state) => saveFromWorker(page, state, "obj") },

@@ -31,13 +31,14 @@ export function mountMaps(root, { page, store, actions }) {
   const image = figure("image", "Picture", "No picture yet");
   const normals = figure("normals", "Normals", "Normals need three lights");
   const errors = figure("errors", "Angular error", "Errors need true normals and three lights");
-  const expected = figure("expected", "Expected error", "What the solver expects of its normals, from three lights on");
+  const expected = figure("expected", "Predicted error", "What the solver expects of its normals, from three lights on");
   const relit = figure("relit", "Relit", "Drag the sun on the dome once there are normals");
   const surface = figure("surface", "Surface", "");
   grid.append(...[image, normals, errors, expected, relit, surface].map(({ element }) => element));
 
   const gate = html("option", { value: "gate", disabled: true }, "Gate of the network");
   const taken = html("select", { class: "kind", "aria-label": "Picture shown" }, html("option", { value: "image" }, "Picture"), gate);
+  taken.disabled = true;
   image.element.querySelector("b")?.replaceWith(taken);
   taken.addEventListener("change", () => showTaken());
 
@@ -93,18 +94,18 @@ export function mountMaps(root, { page, store, actions }) {
     readout.textContent = !pixel ? "" : `Pixel ${pixel.x}, ${pixel.y}`
       + (pixel.normal ? `: normal ${pixel.normal.map(v => v.toFixed(3)).join(", ")}` : "")
       + (pixel.error === null ? "" : `, error ${pixel.error.toFixed(1)}°`)
-      + (pixel.expected === null ? "" : `, expected ${pixel.expected.toFixed(1)}°`);
+      + (pixel.expected === null ? "" : `, predicted ${pixel.expected.toFixed(1)}°`);
   });
 
   store.watch(["view"], ({ view, shown }) => {
     showTaken();
     normals.show(view?.normals ?? null, `${preview(view)}from ${shown.step} lights${view?.invalid ? `, ${view.invalid} pixels unsolved` : ""}`);
     errors.show(view?.errors ?? null, said("mean", view?.mae) + (view?.unknown ? `, ${view.unknown} pixels without truth` : ""));
-    expected.show(view?.expected ?? null, said("predicted mean", view?.expectedMean));
+    expected.show(view?.expected ?? null, said("mean", view?.expectedMean));
   });
 
   store.watch(["insight"], ({ insight }) => {
-    gate.disabled = !insight?.gate;
+    gate.disabled = taken.disabled = !insight?.gate;
     if (gate.disabled) taken.value = "image";
     showTaken();
   });

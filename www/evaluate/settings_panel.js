@@ -23,7 +23,7 @@ export function mountSettings(root, { page, store, actions }) {
       <div class="field"><label for="lights">Lights, T</label><input id="lights" type="number" min="3" max="1000" step="1" required></div>
       <div class="field"><label for="draws">Repetitions</label><input id="draws" type="number" min="1" max="1000" step="1" required></div>
     </div>
-    <div class="field"><label for="stop-at">Stop at predicted error below, degrees</label><input id="stop-at" type="number" min="0.1" max="89" step="any" placeholder="never: always take T lights"></div>
+    <div class="field"><label for="stop-at">Stop at predicted error below, degrees</label><input id="stop-at" type="number" min="0.1" max="89" step="any" placeholder="never"></div>
     <div class="field"><label for="protocol">Protocol</label><select id="protocol">
       <option value="official">official: full resolution</option><option value="128">128: the papers’ tables</option></select></div>
     <div class="field"><label for="lookup">Image look-up</label><select id="lookup">

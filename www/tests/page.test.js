@@ -314,7 +314,7 @@ test("planners by solvers make a matrix, and each cell shows its run", async () 
     for (const row of rows) for (const cell of row.slice(2, 5)) assert.match(cell, /^\d+\.\d\d°±\d+\.\d\d$/);
     await page.getByRole("button", { name: /Random, Trimmed$/ }).click();
     await page.waitForFunction(() => [...document.querySelectorAll("#dome select")].map(s => /** @type {HTMLSelectElement} */ (s).value).join() === "random,trimmed");
-    await page.waitForFunction(() => /predicted mean \d/.test(document.querySelector(".map-expected .note")?.textContent ?? ""));
+    await page.waitForFunction(() => /^mean \d/.test(document.querySelector(".map-expected .note")?.textContent ?? ""));
     assert.ok(await isPainted(page, ".map-expected .frame canvas"), "the solver's own estimate");
   });
 });
