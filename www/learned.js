@@ -3,6 +3,7 @@
 /** @typedef {typeof import("./pkg/core/coil_ps.js")} Lib */
 /** @typedef {import("./pkg/core/coil_ps.js").CapturedObject} CapturedObject */
 /** @typedef {import("./pkg/core/coil_ps.js").Evaluation} Evaluation */
+/** @typedef {import("./pkg/core/coil_ps.js").Rig} Rig */
 /** @typedef {import("./pkg/core/coil_ps.js").Observations} Observations */
 
 /**
@@ -67,9 +68,9 @@ export class Models {
     return this.#models.insight(name, observations);
   }
 
-  /** Lets an evaluation use them. @param {Evaluation} evaluation */
-  lend(evaluation) {
-    /** @type {Evaluation & { useModels(models: PolicyModels): void }} */ (evaluation).useModels(this.#models);
+  /** Lets an evaluation or a rig use them. @param {Evaluation | Rig} user */
+  lend(user) {
+    /** @type {{ useModels(models: PolicyModels): void }} */ (/** @type {unknown} */ (user)).useModels(this.#models);
   }
 }
 

@@ -953,6 +953,7 @@ impl Link {
                         self.again_or(now, Failure::NoAnswer(text));
                     }
                 }
+                (Command::Home, Some(_)) if state == State::Idle => self.finish(now, Ok(())),
                 (Command::Settings, _) => self.settings_read(now, state),
                 _ => {}
             },
@@ -1033,10 +1034,12 @@ impl Link {
                 self.poll(now);
             }
             Command::Home => {
+                // Homing sets the position: what was reported before it is no longer true.
+                *stage = Stage::Verify { asked: now, times: 1 };
+                self.machine = None;
                 self.trust = Trust::Homed;
                 self.alarm = None;
                 self.set_state(Some(State::Idle));
-                self.finish(now, Ok(()));
                 self.poll(now);
             }
             Command::Unlock => {

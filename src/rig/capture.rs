@@ -5,14 +5,19 @@
 //! the session holds every light before the one in flight, and goes on from there.
 
 use super::hdr::{Exposure, HdrError, merge};
+use super::sphere;
 use super::store::{self, Record, Resumed, Shot, StoreError, Timings, Write};
 use crate::arm::grbl::{Command, Event, Failure, Link, Phase, Ticket, Trust};
 use crate::arm::kinematics::Plan;
 use crate::arm::line::State;
 use crate::camera::Observation;
+use crate::light;
 use crate::session::{Session, SessionError, Step};
 use glam::Vec3;
 use std::time::Duration;
+
+/// A highlight so far from the commanded direction is not the arm's LED, degrees.
+const FOREIGN: f64 = 25.0;
 
 /// How a capture is made.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,6 +30,8 @@ pub struct Options {
     pub brightness: f64,
     /// Whether the shutter line goes high for every exposure.
     pub shutter: bool,
+    /// Whether a bracket with the LED off is taken first, and subtracted.
+    pub dark: bool,
     /// Whether the arm is homed without asking, at the start and after a fault. Without it, an arm that has no homing
     /// counts from where it stood when it was switched on.
     pub auto_home: bool,
@@ -41,6 +48,7 @@ impl Default for Options {
             settle: 0.3,
             brightness: 800.0,
             shutter: false,
+            dark: false,
             auto_home: true,
             recoveries: 5,
             patience: 120.0,
@@ -57,7 +65,7 @@ pub enum Action {
     Plan,
     /// Take an exposure of so many seconds, then [`Capture::exposed`].
     Expose {
-        /// Number of the light, from 1.
+        /// Number of the light, from 1; 0 for a dark frame.
         number: usize,
         /// Number of the exposure, from 0.
         index: usize,
@@ -114,6 +122,11 @@ pub enum CaptureError {
     /// Not asked for now.
     #[error("{0} was not asked for now")]
     Order(&'static str),
+    /// The bracket of a stored session began at another time.
+    #[error(
+        "the stored session's shortest exposure is {0} s, now {1} s: its images would not fit; use the same"
+    )]
+    Unit(f64, f64),
     /// A stored session belongs to another planner, seed or object.
     #[error(
         "the stored session has other pictures than this planner asks for: light {0} differs; use the same planner and seed"
@@ -137,13 +150,14 @@ enum Stage {
         plan: Plan,
         until: Duration,
     },
+    /// Without a plan: a dark frame.
     Shutter {
-        plan: Plan,
+        plan: Option<Plan>,
         ticket: Ticket,
         open: bool,
     },
     Exposing {
-        plan: Plan,
+        plan: Option<Plan>,
         since: Duration,
     },
     /// A status that came after the last exposure must show that nothing moved and the LED was on.
@@ -174,6 +188,8 @@ pub struct Capture<'a> {
     bracket: Vec<Exposure>,
     timings: Timings,
     lit: bool,
+    /// The LED was switched off for the dark frames.
+    unlit: bool,
     disturbed: bool,
     halted_since: Option<Duration>,
     recoveries: u32,
@@ -181,24 +197,20 @@ pub struct Capture<'a> {
 }
 
 impl<'a> Capture<'a> {
-    /// A new capture. `dark` are exposures with the LED off, one for each of the options' times.
+    /// A new capture.
     #[must_use]
-    pub fn new(
-        session: Session<'a>,
-        mut record: Record,
-        options: Options,
-        dark: Option<Vec<Exposure>>,
-    ) -> Self {
+    pub fn new(session: Session<'a>, mut record: Record, options: Options) -> Self {
         record.unit_exposure = options.exposures.iter().copied().fold(f64::INFINITY, f64::min);
         Self {
             session,
             record,
             options,
-            dark,
+            dark: None,
             stage: Stage::Ready,
             bracket: Vec::new(),
             timings: Timings::default(),
             lit: false,
+            unlit: false,
             disturbed: false,
             halted_since: None,
             recoveries: 0,
@@ -210,13 +222,13 @@ impl<'a> Capture<'a> {
     ///
     /// # Errors
     /// [`CaptureError::Replay`] where the planner would have asked for other lights.
-    pub fn resume(
-        session: Session<'a>,
-        resumed: Resumed,
-        options: Options,
-        dark: Option<Vec<Exposure>>,
-    ) -> Result<Self, CaptureError> {
-        let mut capture = Self::new(session, resumed.record, options, dark);
+    pub fn resume(session: Session<'a>, resumed: Resumed, options: Options) -> Result<Self, CaptureError> {
+        let before = resumed.record.unit_exposure;
+        let mut capture = Self::new(session, resumed.record, options);
+        let now = capture.record.unit_exposure;
+        if !resumed.seen.is_empty() && (before - now).abs() > 1e-6 * before {
+            return Err(CaptureError::Unit(before, now));
+        }
         let complete = resumed.damaged.is_empty();
         for (k, picture) in resumed.seen.into_iter().enumerate() {
             if let Step::Capture(direction) = capture.session.step()?
@@ -266,10 +278,9 @@ impl<'a> Capture<'a> {
         match &self.stage {
             Stage::Moving { plan, .. }
             | Stage::Settling { plan, .. }
-            | Stage::Shutter { plan, .. }
-            | Stage::Exposing { plan, .. }
             | Stage::Confirming { plan, .. }
             | Stage::Developing { plan } => Some(plan),
+            Stage::Shutter { plan, .. } | Stage::Exposing { plan, .. } => plan.as_ref(),
             _ => None,
         }
     }
@@ -306,7 +317,7 @@ impl<'a> Capture<'a> {
     }
 
     fn in_flight(&self) -> bool {
-        self.current_plan().is_some()
+        self.current_plan().is_some() || matches!(self.stage, Stage::Exposing { .. } | Stage::Shutter { .. })
     }
 
     /// Takes in what the link says. Every event, in order.
@@ -361,7 +372,7 @@ impl<'a> Capture<'a> {
                 }
             }
             Stage::Shutter { plan, open: true, .. } => Stage::Exposing { plan, since: now },
-            Stage::Shutter { plan, open: false, .. } => Stage::Confirming { plan, since: now },
+            Stage::Shutter { plan: Some(plan), open: false, .. } => Stage::Confirming { plan, since: now },
             Stage::Closing(_) => Stage::Done,
             _ => Stage::Ready,
         };
@@ -377,7 +388,7 @@ impl<'a> Capture<'a> {
             self.stage = Stage::Done;
             return;
         }
-        self.lit = false;
+        (self.lit, self.unlit) = (false, false);
         match failure {
             Failure::Stopped => self.stick(Stuck::Stopped),
             Failure::Disconnected(why) => self.stick(Stuck::Disconnected(why.clone())),
@@ -457,23 +468,25 @@ impl<'a> Capture<'a> {
                     return Action::Wait(None);
                 }
                 self.timings.settle = self.options.settle;
-                self.bracket.clear();
-                if self.options.shutter {
-                    self.shutter(now, link, plan, true);
-                    return Action::Wait(None);
-                }
-                self.stage = Stage::Exposing { plan, since: now };
-                self.next(now, link)
+                self.expose(now, link, Some(plan))
             }
             Stage::Exposing { plan, since } => {
                 let index = self.bracket.len();
                 if let Some(&seconds) = self.options.exposures.get(index) {
-                    return Action::Expose { number: self.session.seen().len() + 1, index, seconds };
+                    let number = plan.map_or(0, |_| self.session.seen().len() + 1);
+                    return Action::Expose { number, index, seconds };
                 }
-                let plan = *plan;
+                let Some(plan) = *plan else {
+                    self.dark = Some(std::mem::take(&mut self.bracket));
+                    self.stage = Stage::Ready;
+                    if self.options.shutter {
+                        self.shutter(now, link, None, false);
+                    }
+                    return self.next(now, link);
+                };
                 self.timings.expose = now.saturating_sub(*since).as_secs_f64();
                 if self.options.shutter {
-                    self.shutter(now, link, plan, false);
+                    self.shutter(now, link, Some(plan), false);
                     return Action::Wait(None);
                 }
                 self.stage = Stage::Confirming { plan, since: now };
@@ -521,7 +534,18 @@ impl<'a> Capture<'a> {
         }
     }
 
-    fn shutter(&mut self, now: Duration, link: &mut Link, plan: Plan, open: bool) {
+    /// Begins a bracket; without a plan that of the dark frames.
+    fn expose(&mut self, now: Duration, link: &mut Link, plan: Option<Plan>) -> Action {
+        self.bracket.clear();
+        if self.options.shutter {
+            self.shutter(now, link, plan, true);
+            return Action::Wait(None);
+        }
+        self.stage = Stage::Exposing { plan, since: now };
+        self.next(now, link)
+    }
+
+    fn shutter(&mut self, now: Duration, link: &mut Link, plan: Option<Plan>, open: bool) {
         match link.send(now, Command::Shutter(open)) {
             Ok(ticket) => self.stage = Stage::Shutter { plan, ticket, open },
             Err(failure) => self.failed(&failure),
@@ -585,6 +609,14 @@ impl<'a> Capture<'a> {
         } else if self.session.seen().len() >= self.session.lights() {
             self.stage = Stage::Closing(None);
             return self.next(now, link);
+        } else if self.options.dark && self.dark.is_none() {
+            if self.unlit {
+                self.unlit = false;
+                return self.expose(now, link, None);
+            }
+            self.unlit = true;
+            self.lit = false;
+            Command::Light(0.0)
         } else if !self.lit {
             self.lit = true; // any fault from now on takes it back
             Command::Light(self.options.brightness)
@@ -658,17 +690,42 @@ impl<'a> Capture<'a> {
         Ok(())
     }
 
-    /// Merges the bracket; `measured` is what a mirror sphere showed, with its uncertainty in degrees.
+    /// Merges the bracket, and measures the light's direction where the record knows a mirror sphere.
     ///
     /// # Errors
     /// [`CaptureError`]; the light is then taken again after [`Capture::retry`].
-    pub fn develop(&mut self, link: &Link, measured: Option<(Vec3, f64)>) -> Result<(), CaptureError> {
+    pub fn develop(&mut self, link: &Link) -> Result<(), CaptureError> {
         let Stage::Developing { plan } = self.stage else { return Err(CaptureError::Order("developing")) };
+        let measured = self.measured(&plan);
         let result = self.developed(plan, link, measured);
         if let Err(error) = &result {
             self.stick(Stuck::Failed(error.to_string()));
         }
         result
+    }
+
+    /// What the mirror sphere shows in the shortest exposure. A highlight far from where the arm was sent is that of
+    /// another lamp: it is noted and not used.
+    fn measured(&mut self, plan: &Plan) -> Option<(Vec3, f64)> {
+        let circle = self.record.sphere?;
+        let by_time = |a: &&Exposure, b: &&Exposure| a.seconds.total_cmp(&b.seconds);
+        let lit = self.bracket.iter().min_by(by_time)?;
+        let dark = self.dark.as_ref().and_then(|d| d.iter().min_by(by_time));
+        let said = match sphere::measure(lit, dark, &circle) {
+            Ok(seen) => {
+                let off = f64::from(light::angle(seen.direction, plan.commanded)).to_degrees();
+                if off <= FOREIGN {
+                    return Some((seen.direction, seen.uncertainty));
+                }
+                format!("the mirror sphere shows a light {off:.1}° from where the arm was sent")
+            }
+            Err(error) => error.to_string(),
+        };
+        self.note(format!(
+            "light {}: {said}; the commanded direction is used",
+            self.session.seen().len() + 1
+        ));
+        None
     }
 
     fn developed(
@@ -695,8 +752,8 @@ impl<'a> Capture<'a> {
         }
         let (codes, scale) = store::quantise(&mask.gather(&merged.rgb));
         let (image, crc32) = store::encode_shot(self.next_number, &codes, mask)?;
-        let light = measured.map_or(plan.commanded, |m| m.0);
-        let picture = store::observation(plan.requested, light, &codes, scale);
+        let used = measured.map_or(plan.commanded, |m| m.0);
+        let picture = store::observation(plan.requested, used, &codes, scale);
         let shot = Shot {
             file: image.name.clone(),
             requested: plan.requested,

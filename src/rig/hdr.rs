@@ -205,6 +205,14 @@ impl Crop {
         Self { left: 0, top: 0, width: image.width, height: image.height }
     }
 
+    /// Whether a point (the first pixel's centre is (0.5, 0.5)) lies in it.
+    #[must_use]
+    pub fn contains(&self, x: f64, y: f64) -> bool {
+        let within =
+            |v: f64, start: u32, size: u32| v >= f64::from(start) && v < f64::from(start) + f64::from(size);
+        within(x, self.left, self.width) && within(y, self.top, self.height)
+    }
+
     /// The part of `image`.
     ///
     /// # Errors
@@ -225,17 +233,25 @@ impl Crop {
     }
 }
 
-/// The object's mask from a merged image under light: brighter than Otsu's threshold of the logarithm, the largest
-/// connected piece, its holes filled.
+fn brightness(c: &[f32; 3]) -> f32 {
+    c[0].max(c[1]).max(c[2]).max(1e-5)
+}
+
+/// The brightness that parts the object from what is dark around it: Otsu's threshold of the logarithm.
+#[must_use]
+pub fn threshold_level(merged: &Merged) -> f32 {
+    let level: Vec<f32> = merged.rgb.iter().map(|c| libm::log2f(brightness(c))).collect();
+    libm::exp2f(otsu(&level))
+}
+
+/// The object's mask from a merged image under light: brighter than `level`, the largest connected piece, its holes
+/// filled.
 ///
 /// # Errors
-/// [`StackError::EmptyMask`] where nothing stands out.
-pub fn threshold_mask(merged: &Merged) -> Result<Mask, StackError> {
+/// [`StackError::EmptyMask`] where nothing is brighter.
+pub fn threshold_mask(merged: &Merged, level: f32) -> Result<Mask, StackError> {
     let (w, h) = (merged.width as usize, merged.height as usize);
-    let level: Vec<f32> =
-        merged.rgb.iter().map(|c| libm::log2f(c[0].max(c[1]).max(c[2]).max(1e-5))).collect();
-    let cut = otsu(&level);
-    let inside: Vec<bool> = level.iter().map(|&v| v > cut).collect();
+    let inside: Vec<bool> = merged.rgb.iter().map(|c| brightness(c) > level).collect();
     let kept = largest_piece(&inside, w, h, true);
     // What the outside can't reach is a hole.
     let outside = largest_border_piece(&kept, w, h);
@@ -486,6 +502,6 @@ mod tests {
         rgb[(2 * w + 2) as usize] = [0.5; 3]; // dust
         let n = rgb.len();
         let merged = Merged { width: w, height: h, rgb, saturated: vec![false; n], dark: vec![false; n] };
-        assert_eq!(threshold_mask(&merged).unwrap().len(), 16 * 20);
+        assert_eq!(threshold_mask(&merged, threshold_level(&merged)).unwrap().len(), 16 * 20);
     }
 }

@@ -5,6 +5,7 @@
 pub mod calibration;
 pub mod camera;
 pub mod capture;
+pub mod drawing;
 pub mod hdr;
 pub mod sphere;
 pub mod store;

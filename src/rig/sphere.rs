@@ -4,6 +4,8 @@
 //! pixel of the highlight gives a direction, and their mean is the light's: for a mirror sphere under an orthographic
 //! camera each pixel stands for the same solid angle (4/r²), so nothing has to be weighed but the brightness.
 
+use super::hdr::Exposure;
+use crate::image::Image;
 use crate::light;
 use crate::rng::Rng;
 use glam::{DVec2, DVec3, Vec3};
@@ -17,6 +19,43 @@ pub struct Grey<'a> {
     pub height: usize,
     /// `width · height` values.
     pub values: &'a [f32],
+}
+
+/// The grey values of a picture.
+#[derive(Clone, Debug)]
+pub struct Values {
+    width: usize,
+    values: Vec<f32>,
+}
+
+impl Values {
+    /// To look at.
+    #[must_use]
+    pub fn view(&self) -> Grey<'_> {
+        Grey { width: self.width, height: self.values.len() / self.width.max(1), values: &self.values }
+    }
+}
+
+/// The mean of a picture's channels, 1 at full scale.
+#[must_use]
+pub fn values(image: &Image) -> Values {
+    let scale = 1.0 / (3.0 * f32::from(image.bits.max()));
+    let grey = |c: &[u16; 3]| (f32::from(c[0]) + f32::from(c[1]) + f32::from(c[2])) * scale;
+    Values { width: image.width as usize, values: image.rgb.iter().map(grey).collect() }
+}
+
+/// The light's direction from an exposure of the sphere, less the same exposure with the light off.
+///
+/// # Errors
+/// [`SphereError`].
+pub fn measure(lit: &Exposure, dark: Option<&Exposure>, circle: &Circle) -> Result<Reflection, SphereError> {
+    let mut grey = values(&lit.image);
+    if let Some(dark) = dark.filter(|d| d.image.rgb.len() == lit.image.rgb.len()) {
+        for (v, d) in grey.values.iter_mut().zip(values(&dark.image).values) {
+            *v -= d;
+        }
+    }
+    light_direction(&grey.view(), circle)
 }
 
 /// A circle in pixels; the centre of the first pixel is (0.5, 0.5).
@@ -175,13 +214,17 @@ fn edges(image: &Grey) -> Vec<DVec2> {
 }
 
 /// The outline of the sphere: the circle with the most edge points on it (RANSAC), fitted to those. Up to half of the
-/// outline may be hidden.
+/// outline may be hidden. Points (in pixels) for which `skip` says so are not looked at: the object may be round too.
 ///
 /// # Errors
 /// [`SphereError::NoOutline`] where no circle has edge points on 40 % of its length.
-pub fn find_outline(image: &Grey) -> Result<Circle, SphereError> {
+pub fn find_outline(image: &Grey, skip: impl Fn(f64, f64) -> bool) -> Result<Circle, SphereError> {
     image.check()?;
-    let points = edges(image);
+    let mut points = edges(image);
+    points.retain(|p| !skip(p.x, p.y));
+    let pixels = (0..image.width * image.height)
+        .filter(|i| !skip((i % image.width) as f64 + 0.5, (i / image.width) as f64 + 0.5))
+        .count();
     if points.len() < 20 {
         return Err(SphereError::NoOutline);
     }
@@ -223,7 +266,7 @@ pub fn find_outline(image: &Grey) -> Result<Circle, SphereError> {
     // In mere noise any ring has points: an outline has far more of them than the picture elsewhere.
     let near = on(&circle, 1.2);
     let ring = std::f64::consts::TAU * circle.radius * 2.4;
-    let by_chance = points.len() as f64 * ring / (image.width * image.height) as f64;
+    let by_chance = points.len() as f64 * ring / pixels.max(1) as f64;
     if covered(&circle, &near) < 0.4 || (near.len() as f64) < 3.0 * by_chance {
         return Err(SphereError::NoOutline);
     }
@@ -421,7 +464,7 @@ mod tests {
                 occluded: k % 2 == 0,
             };
             let room = bench.room(&mut rng);
-            let found = find_outline(&Grey { width: 256, height: 256, values: &room }).unwrap();
+            let found = find_outline(&Grey { width: 256, height: 256, values: &room }, |_, _| false).unwrap();
             for _ in 0..3 {
                 let truth = rng.direction(1.25);
                 let at = truth.as_dvec3() + DVec3::Z;
@@ -458,7 +501,7 @@ mod tests {
         let mut rng = Rng::new(1);
         let noise: Vec<f32> = (0..128 * 128).map(|_| 0.2 + 0.02 * rng.normal()).collect();
         let image = Grey { width: 128, height: 128, values: &noise };
-        assert_eq!(find_outline(&image), Err(SphereError::NoOutline));
+        assert_eq!(find_outline(&image, |_, _| false), Err(SphereError::NoOutline));
         assert_eq!(
             light_direction(&image, &Circle { x: 64.0, y: 64.0, radius: 40.0 }),
             Err(SphereError::NoHighlight)

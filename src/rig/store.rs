@@ -5,7 +5,9 @@
 //! before the one in flight. Images are 16-bit PNG of the merged values over their largest, which stands as the light's
 //! intensity: `png / 65535 / intensity` is the merged value again, for any reader of the layout.
 
+use super::calibration::Sighting;
 use super::hdr::{Crop, Quality};
+use super::sphere::Circle;
 use crate::arm::Joints;
 use crate::arm::kinematics::Arm;
 use crate::camera::Observation;
@@ -106,6 +108,9 @@ pub struct Record {
     pub camera: String,
     /// Part of the sensor.
     pub crop: Option<Crop>,
+    /// Outline of the mirror sphere in the whole picture, where there is one.
+    #[serde(default)]
+    pub sphere: Option<Circle>,
     /// The arm.
     pub arm: Arm,
     /// Whether directions are multiples of a full exposure's value: 1 is full scale at this exposure, seconds.
@@ -182,6 +187,15 @@ pub fn encode_shot(number: usize, codes: &[[u16; 3]], mask: &Mask) -> Result<(Wr
 }
 
 impl Record {
+    /// What the mirror sphere showed, for [`super::calibration::fit_mount`].
+    #[must_use]
+    pub fn sightings(&self) -> Vec<Sighting> {
+        let sighting = |s: &Shot| {
+            Some(Sighting { joints: s.joints, measured: s.measured?, uncertainty: s.uncertainty? })
+        };
+        self.shots.iter().filter_map(sighting).collect()
+    }
+
     /// A record of a session that begins.
     #[must_use]
     pub fn new(object: &str, planner: &str, seed: u64, lights: usize, arm: Arm) -> Self {
@@ -195,6 +209,7 @@ impl Record {
             firmware: String::new(),
             camera: String::new(),
             crop: None,
+            sphere: None,
             arm,
             unit_exposure: 0.0,
             shots: Vec::new(),

@@ -15,6 +15,8 @@ mod render;
 mod serial;
 mod session;
 mod stack;
+#[cfg(feature = "render")]
+mod studio;
 mod tiles;
 
 pub use evaluation::{Evaluation, catalogue};
@@ -25,9 +27,11 @@ pub use policy::{Insight, Models, PolicyRunner};
 #[cfg(feature = "render")]
 pub use render::{Capture, families, materials};
 #[cfg(feature = "render")]
-pub use serial::{Rig, SessionFile, SessionFiles, SimulatedBoard};
+pub use serial::{Rig, SimulatedBoard};
 pub use session::Session;
 pub use stack::{Observations, Relit, Solution, Stack, Surface};
+#[cfg(feature = "render")]
+pub use studio::{Frame, FrameAverage, MaskDrawing, SessionFile, SessionFiles, fit_circle};
 pub use tiles::{Tiles, Values, solve_piece};
 
 use crate::solve::pixel::{self, PixelNetwork, onnx};

@@ -2,6 +2,8 @@
 
 import { set, svg } from "../svg.js";
 
+/** @typedef {import("../messages.js").Direction} Direction */
+
 const R = 100;
 
 /** @param {[number, number, number]} d */
@@ -14,6 +16,8 @@ function at(d) {
 
 export class Plot {
   #done = svg("g");
+  /** @type {unknown} */
+  #shown = null;
   #target = svg("circle", { class: "rig-target", r: 5, visibility: "hidden" });
   #light = svg("circle", { class: "rig-light", r: 6, visibility: "hidden" });
 
@@ -32,7 +36,10 @@ export class Plot {
     );
   }
 
-  /** @param {{ light: [number, number, number] | null, target: [number, number, number] | null, done: [number, number, number][] }} shown */
+  /**
+   * Lights taken stand where they were commanded, with a line to where the mirror sphere showed them.
+   * @param {{ light: Direction | null, target: Direction | null, done: { commanded: Direction, measured: Direction | null }[] }} shown
+   */
   update({ light, target, done }) {
     const place = (/** @type {SVGElement} */ mark, /** @type {[number, number, number] | null} */ d) => {
       if (!d) return set(mark, { visibility: "hidden" });
@@ -41,10 +48,13 @@ export class Plot {
     };
     place(this.#light, light);
     place(this.#target, target);
-    if (this.#done.childElementCount !== done.length) {
-      this.#done.replaceChildren(...done.map((d, i) => {
-        const { x, y } = at(d);
-        return svg("g", { transform: `translate(${x.toFixed(2)} ${y.toFixed(2)})` }, svg("circle", { class: "rig-done", r: 6.5 }), svg("text", { class: "rig-number", y: 3 }, String(i + 1)));
+    if (this.#shown !== done) {
+      this.#shown = done;
+      this.#done.replaceChildren(...done.flatMap(({ commanded, measured }, i) => {
+        const { x, y } = at(commanded);
+        const seen = measured && at(measured);
+        const off = seen ? [svg("line", { class: "rig-measured-line", x1: x, y1: y, x2: seen.x, y2: seen.y }), svg("circle", { class: "rig-measured-mark", cx: seen.x, cy: seen.y, r: 2.2 })] : [];
+        return [svg("g", { transform: `translate(${x.toFixed(2)} ${y.toFixed(2)})` }, svg("circle", { class: "rig-done", r: 6.5 }), svg("text", { class: "rig-number", y: 3 }, String(i + 1))), ...off];
       }));
     }
   }

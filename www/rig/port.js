@@ -20,7 +20,7 @@ export function unsupported() {
   return null;
 }
 
-/** @returns {any} */
+/** The serial ports of this thread: of the page, or of a worker where the browser has them there. @returns {any} */
 export function serial() {
   return /** @type {any} */ (navigator).serial;
 }

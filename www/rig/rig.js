@@ -1,114 +1,90 @@
-// The rig view: an arm on a serial port (or the simulated one), its position, and a capture that drives it. What
-// the bytes mean, what to send and where to go is computed in the core (web/serial.rs); here are port, clock, storage
-// and what is shown. Runs in the page's own thread: `requestPort` exists only there, and Stop must not wait for a worker.
+// The rig view: an arm on a serial port (or the simulated one), its position, and a capture that drives it. All of it
+// is computed in the rig's worker (worker.js); here it is shown and asked for. Only here can be: the choice of a port,
+// webcams, files, and Stop, which waits for no worker.
 
-import init, { Rig } from "../pkg/core/coil_ps.js";
 import { download, draw, find, html, set } from "../svg.js";
-import { Port, explain, portName, serial, unsupported } from "./port.js";
+import { Webcam, chooseFolder, chooseImages, explainCamera } from "./camera.js";
+import { Client } from "./client.js";
+import { Host } from "./host.js";
+import { MaskPanel } from "./mask.js";
 import { Plot } from "./plot.js";
-import { SimulatedPort } from "./simulated.js";
-import { chosenFolder, clear, ownFolder, read, write } from "./storage.js";
+import { explain, portName, serial, unsupported } from "./port.js";
+import { TEMPLATE } from "./template.js";
 
 const LOG_LINES = 500;
-/** A USB port takes so long to come back. */
-const RECONNECT_MS = 8000;
-/** Read-out of the simulated camera. */
-const READ_OUT_MS = 30;
-
-const now = () => performance.now();
-const sleep = (/** @type {number} */ ms) => new Promise(resolve => setTimeout(resolve, ms));
+/** How the simulated arm stands when it stands askew: azimuth, slant, tilt about x and y; degrees. */
+const ASKEW = /** @type {[number, number, number, number]} */ ([4, -2, 1.5, -1]);
+const ARM_KEY = "coil-ps.arm";
+const MARKS = /** @type {Record<string, string>} */ ({ sent: ">", received: "<", note: "#", failed: "!" });
 
 /**
  * @param {HTMLElement} root
  * @param {import("../main.js").Page} page
  */
 export async function mount(root, page) {
-  await init({ module_or_path: new URL("../pkg/core/coil_ps_bg.wasm", import.meta.url) });
   if (!document.querySelector("link[href$='rig/rig.css']")) {
     document.head.append(html("link", { rel: "stylesheet", href: new URL("rig.css", import.meta.url).href }));
   }
   root.classList.add("rig");
-  root.innerHTML = `
-    <section class="card rig-bar" aria-label="Connection">
-      <select class="rig-port" aria-label="Arm"></select>
-      <button type="button" class="button primary rig-connect">Connect</button>
-      <span class="rig-state" role="status">Not connected</span>
-      <button type="button" class="rig-stop" title="Stops at once: hold and reset, past everything queued (Escape)">STOP</button>
-    </section>
-    <section class="card" aria-labelledby="rig-arm-title">
-      <h2 id="rig-arm-title">Arm</h2>
-      <p class="rig-said" aria-live="assertive"></p>
-      <div class="rig-dome"></div>
-      <dl class="rig-read"><dt>State</dt><dd class="rd-state">–</dd><dt>Azimuth</dt><dd class="rd-azimuth">–</dd><dt>Slant</dt><dd class="rd-slant">–</dd><dt>Position</dt><dd class="rd-trust">–</dd><dt>LED</dt><dd class="rd-led">–</dd></dl>
-      <div class="row"><button type="button" class="button" data-do="home">Home</button><button type="button" class="button" data-do="unlock">Unlock</button><button type="button" class="button" data-do="hold">Hold</button><button type="button" class="button" data-do="resume">Resume</button><button type="button" class="button" data-do="release">Release Stop</button><button type="button" class="button" data-do="reset">Reset</button></div>
-      <div class="row"><label>Azimuth <input type="number" class="rig-az" value="30" min="-360" max="360" step="1"></label><label>Slant <input type="number" class="rig-sl" value="40" min="-90" max="90" step="1"></label><button type="button" class="button" data-do="goto">Go to</button></div>
-      <div class="row"><div class="rig-jog" role="group" aria-label="Jog"><span></span><button type="button" class="button" data-jog="0,1" aria-label="Slant up">S+</button><span></span><button type="button" class="button" data-jog="-1,0" aria-label="Azimuth down">A−</button><button type="button" class="button" data-do="jogCancel" aria-label="End the jog">■</button><button type="button" class="button" data-jog="1,0" aria-label="Azimuth up">A+</button><span></span><button type="button" class="button" data-jog="0,-1" aria-label="Slant down">S−</button><span></span></div>
-        <label>by <select class="rig-step"><option>0.1</option><option>1</option><option selected>5</option><option>20</option></select>°</label><button type="button" class="button" data-do="lightOn">LED on</button><button type="button" class="button" data-do="lightOff">LED off</button></div>
-      <ul class="rig-findings"></ul>
-    </section>
-    <section class="card" aria-labelledby="rig-capture-title">
-      <h2 id="rig-capture-title">Capture</h2>
-      <div class="row"><label>Object <select class="rig-object"><option value="blob:7">Blob</option><option value="sphere">Sphere</option><option value="bowl">Bowl</option></select></label><label>Planner <select class="rig-planner"></select></label></div>
-      <div class="row"><label>Lights <input type="number" class="rig-lights" value="10" min="3" max="100"></label><label>Seed <input type="number" class="rig-seed" value="1" min="0"></label></div>
-      <div class="row"><button type="button" class="button primary rig-auto">Capture</button><button type="button" class="button rig-next">One light</button><button type="button" class="button rig-pause" disabled>Pause</button><button type="button" class="button rig-continue" hidden>Continue</button></div>
-      <div class="row"><button type="button" class="button small rig-folder">Save to a folder…</button><button type="button" class="button small rig-zip">Download zip</button></div>
-      <p class="rig-progress" role="status">The session is stored in this browser as it goes.</p>
-      <p class="note">Images come from the simulated camera, which sees the chosen object under the light where the arm has it.</p>
-    </section>
-    <section class="card" aria-labelledby="rig-seen-title">
-      <h2 id="rig-seen-title">Images and normals</h2>
-      <div class="rig-maps"><figure><canvas class="rig-photo" width="8" height="8"></canvas><figcaption>Last image</figcaption></figure><figure><canvas class="rig-normals" width="8" height="8"></canvas><figcaption class="rig-error">Normals</figcaption></figure><figure><canvas class="rig-relit" width="8" height="8"></canvas><figcaption>Relit</figcaption></figure></div>
-      <div class="row"><label>Light azimuth <input type="range" class="rig-rel-az" min="-180" max="180" value="40"></label><label>slant <input type="range" class="rig-rel-sl" min="0" max="85" value="45"></label></div>
-      <div class="rig-table" tabindex="0" role="region" aria-label="Lights taken"></div>
-    </section>
-    <section class="card rig-log" aria-labelledby="rig-log-title">
-      <div class="head"><h2 id="rig-log-title">Console</h2><button type="button" class="button small rig-copy">Copy</button></div>
-      <div class="rig-lines" tabindex="0" role="log" aria-label="Lines sent and received"></div>
-      <form class="row rig-type"><label>Line <input class="rig-line" autocomplete="off" spellcheck="false" size="28" placeholder="$$"></label><button class="button">Send</button></form>
-    </section>
-    <dialog aria-labelledby="rig-help-title"><h2 id="rig-help-title">No port chosen</h2><p class="rig-help-text"></p><ul>
-      <li>Is the cable a data cable? Many only charge.</li>
-      <li>Boards with a CH340 or CP210x chip need its driver on Windows and older macOS.</li>
-      <li>On Linux your user must be in the group <code>dialout</code>: <code>sudo usermod -aG dialout $USER</code>, then log in again.</li>
-      <li>Close other programs that use the board: Arduino IDE, serial monitors, other tabs.</li>
-      <li>The board must run stock Grbl 1.1 at 115200 baud.</li></ul>
-      <form method="dialog" class="row"><button class="button primary">Close</button></form></dialog>`;
+  root.innerHTML = TEMPLATE;
 
   const $ = (/** @type {string} */ selector) => find(root, selector, HTMLElement);
-  const field = (/** @type {string} */ selector) => /** @type {HTMLInputElement} */ (root.querySelector(selector));
+  const input = (/** @type {string} */ selector) => find(root, selector, HTMLInputElement);
+  const number = (/** @type {string} */ selector) => input(selector).valueAsNumber;
+  const select = (/** @type {string} */ selector) => find(root, selector, HTMLSelectElement);
+  const button = (/** @type {string} */ selector) => find(root, selector, HTMLButtonElement);
   const canvas = (/** @type {string} */ selector) => find(root, selector, HTMLCanvasElement);
-
-  const rig = new Rig();
-  const plot = new Plot([...rig.limits()]);
-  $(".rig-dome").append(plot.element);
-
-  /** @type {Port | null} */
-  let port = null;
-  /** @type {any[]} */
-  let remembered = [];
-  /** @type {ReturnType<typeof setTimeout> | undefined} */
-  let timer;
-  let wanted = false; // the user wants to be connected
-  /** @type {"idle" | "auto" | "one"} */
-  let mode = "idle";
-  let capturing = false;
-  let advancing = false;
-  /** @type {FileSystemDirectoryHandle | null} */
-  let folder = null;
-  /** @type {[number, number, number] | null} */
-  let target = null;
-  /** @type {string[]} */
-  const log = [];
-  let phaseBefore = "";
-
-  // ---- what is shown ----
+  const on = (/** @type {string} */ selector, /** @type {() => unknown} */ work) => $(selector).addEventListener("click", work);
 
   const say = (/** @type {string} */ text) => { $(".rig-said").textContent = text; };
+  const failed = (/** @type {unknown} */ error) => say(/** @type {Error} */ (error).message);
 
-  function addLog(/** @type {{ kind: string, text: string }} */ { kind, text }) {
-    const stamp = new Date().toISOString().slice(11, 23);
-    const mark = /** @type {Record<string, string>} */ ({ sent: ">", received: "<", note: "#", failed: "!" })[kind];
-    const line = `${stamp} ${mark} ${text}`;
+  const client = new Client(heard, error => page.problem("The rig's worker has failed", error, "Reload the page; the session is stored."));
+  const webcam = new Webcam();
+  $(".rig-video").append(webcam.video);
+  const mask = new MaskPanel(client, failed);
+  $(".rig-real").append(mask.element);
+  /** @type {Plot | null} */
+  let plot = null;
+
+  /** Another thread's, or this one's: what holds the serial port. @type {{ stop: () => void, close: () => void } | null} */
+  let host = null;
+  /** @type {Worker | null} */
+  let portWorker = null;
+  /** @type {any[]} */
+  let remembered = [];
+  /** @type {import("./messages.js").State | null} */
+  let state = null;
+  /** @type {import("./messages.js").LightTaken[]} */
+  let lights = [];
+  /** The folder that is watched. @type {FileSystemDirectoryHandle | null} */
+  let watched = null;
+  /** Files that were chosen and wait for their exposure. @type {File[]} */
+  let given = [];
+  let gave = () => {};
+  /** @type {string[]} */
+  const log = [];
+
+  // ---- what the worker tells ----
+
+  /** @param {import("./messages.js").Told} told */
+  function heard(told) {
+    switch (told.type) {
+      case "state": return showState(told);
+      case "taken": return showTaken(told);
+      case "expose": return void expose(told);
+      case "help": return help(told.text);
+      case "problem": return page.problem("The capture can't go on", new Error(told.message), "What was captured is stored; continue when the cause is mended.");
+      case "ended":
+        $(".rig-ask").hidden = true;
+        offer(told.session);
+        if (told.done) page.announce("The capture is done");
+    }
+  }
+
+  /** @param {import("./messages.js").Said} said */
+  function addLog({ kind, text }) {
+    const line = `${new Date().toISOString().slice(11, 23)} ${MARKS[kind]} ${text}`;
     log.push(line);
     const lines = $(".rig-lines");
     const atEnd = lines.scrollTop + lines.clientHeight >= lines.scrollHeight - 30;
@@ -121,9 +97,12 @@ export async function mount(root, page) {
     if (kind === "failed") say(text);
   }
 
-  function show() {
-    for (const said of rig.takeLog()) addLog(said);
-    const s = rig.shown();
+  /** @param {import("./messages.js").State} told */
+  function showState(told) {
+    const before = state?.shown.phase;
+    state = told;
+    told.said.forEach(addLog);
+    const { shown: s, wanted, mode } = told;
     const words = /** @type {Record<string, string>} */ ({
       closed: s.reason ? `Disconnected: ${s.reason}` : "Not connected",
       opening: "Port open, waiting for the firmware…",
@@ -131,108 +110,64 @@ export async function mount(root, page) {
       ready: `Connected: Grbl ${s.version}`,
       stopped: s.confirmed ? "Stopped. Release Stop, then home." : "Stopping…",
     })[s.phase];
-    $(".rig-state").textContent = wanted && s.phase === "closed" ? "Trying to reconnect…" : words;
-    set(root, { "data-phase": s.phase });
-    $(".rd-state").textContent = s.phase === "closed" ? "–" : s.state ?? "not known";
-    $(".rd-azimuth").textContent = s.azimuth === null ? "–" : `${s.azimuth.toFixed(2)}°`;
-    $(".rd-slant").textContent = s.slant === null ? "–" : `${s.slant.toFixed(2)}°`;
-    $(".rd-trust").textContent = s.phase === "closed" ? "–" : { homed: "known, homed", assumed: "counted from where it was switched on", lost: "lost: home the arm" }[/** @type {"homed"} */ (s.trust)];
-    $(".rd-led").textContent = s.led === null ? "–" : s.led ? `S${s.led}` : "off";
-    $(".rig-connect").textContent = wanted || s.phase !== "closed" ? "Disconnect" : "Connect";
-    if (s.phase === "ready" && phaseBefore !== "ready") {
-      $(".rig-findings").replaceChildren(...rig.findings().map((/** @type {any} */ f) => html("li", { class: f.kind === "error" ? "rig-said" : "note" }, f.text)));
-      if (phaseBefore === "reading") page.announce("The arm is connected");
-    }
-    if (s.phase === "stopped") page.announce("Stopped");
-    phaseBefore = s.phase;
-    const lights = rig.lights();
-    const done = lights.map((/** @type {any} */ l) => l.used);
-    plot.update({ light: s.direction, target, done });
-    return s;
-  }
-
-  function showPictures() {
-    const lights = rig.lights();
-    const put = (/** @type {string} */ selector, /** @type {any} */ picture) => {
-      if (!picture) return;
-      draw(canvas(selector), { width: picture.width, height: picture.height, data: picture.rgba });
-      picture.free();
+    const text = (/** @type {string} */ selector, /** @type {string} */ value) => {
+      if ($(selector).textContent !== value) $(selector).textContent = value;
     };
-    if (lights.length) put(".rig-photo", rig.photo(lights.length - 1));
-    put(".rig-normals", rig.normals());
-    const error = rig.error();
-    $(".rig-error").textContent = error === undefined ? "Normals (from 3 lights)" : `Normals, error ${error.toFixed(2)}°`;
-    relight();
-    const percent = (/** @type {number} */ v) => `${(100 * v).toFixed(1)} %`;
-    const rows = lights.map((/** @type {any} */ l, /** @type {number} */ i) => html("tr", {}, ...[String(i + 1), l.projected ? `${l.projected.toFixed(1)}° off` : "exact", percent(l.saturated), percent(l.dark), percent(l.noise), `${l.move.toFixed(2)} s`].map(t => html("td", {}, t))));
-    const head = html("tr", {}, ...["Light", "Reached", "Saturated", "Dark", "Noise", "Move"].map(t => html("th", { scope: "col" }, t)));
-    $(".rig-table").replaceChildren(html("table", {}, html("thead", {}, head), html("tbody", {}, ...rows)));
+    text(".rig-state", wanted && s.phase === "closed" ? "Trying to reconnect…" : words);
+    set(root, { "data-phase": s.phase });
+    text(".rd-state", s.phase === "closed" ? "–" : s.state ?? "not known");
+    text(".rd-azimuth", s.azimuth === null ? "–" : `${s.azimuth.toFixed(2)}°`);
+    text(".rd-slant", s.slant === null ? "–" : `${s.slant.toFixed(2)}°`);
+    text(".rd-trust", s.phase === "closed" ? "–" : { homed: "known, homed", assumed: "counted from where it was switched on", lost: "lost: home the arm" }[/** @type {"homed"} */ (s.trust)]);
+    text(".rd-led", s.led === null ? "–" : s.led ? `S${s.led}` : "off");
+    text(".rig-connect", wanted || s.phase !== "closed" ? "Disconnect" : "Connect");
+    if (told.findings) {
+      $(".rig-findings").replaceChildren(...told.findings.map(f => html("li", { class: f.kind === "error" ? "rig-bad" : "note" }, f.text)));
+      if (before === "reading") page.announce("The arm is connected");
+    }
+    if (s.phase === "stopped" && before !== "stopped") page.announce("Stopped");
+    if (told.progress !== null) text(".rig-progress", told.progress);
+    button(".rig-pause").disabled = mode === "idle";
+    if (mode !== "idle") $(".rig-continue").hidden = true;
+    plot?.update({ light: s.direction, target: told.target, done: lights });
   }
 
-  function relight() {
-    const picture = rig.relight(Number(field(".rig-rel-az").value), Number(field(".rig-rel-sl").value));
-    if (!picture) return;
-    draw(canvas(".rig-relit"), { width: picture.width, height: picture.height, data: /** @type {any} */ (picture.rgba) });
-    picture.free();
+  /** @param {import("./messages.js").Taken} told */
+  function showTaken(told) {
+    ({ lights } = told);
+    for (const [selector, picture] of /** @type {const} */ ([[".rig-photo", told.photo], [".rig-normals", told.normals], [".rig-relit", told.relit]])) {
+      if (picture) draw(canvas(selector), picture);
+    }
+    $(".rig-error").textContent = !told.normals ? "Normals (from 3 lights)" : told.error === null ? "Normals" : `Normals, error ${told.error.toFixed(2)}°`;
+    const percent = (/** @type {number} */ v) => `${(100 * v).toFixed(1)} %`;
+    const measured = lights.some(l => l.measured);
+    const head = ["Light", "Reached", ...measured ? ["Measured"] : [], "Saturated", "Dark", "Noise", "Move"];
+    const rows = lights.map((l, i) => [
+      String(i + 1),
+      l.projected ? `${l.projected.toFixed(1)}° off` : "exact",
+      ...measured ? [l.off === null ? "not seen" : `${l.off.toFixed(1)}° off ±${(l.uncertainty ?? 0).toFixed(1)}°`] : [],
+      percent(l.saturated), percent(l.dark), percent(l.noise), `${l.move.toFixed(2)} s`,
+    ]);
+    $(".rig-table").replaceChildren(html("table", {},
+      html("thead", {}, html("tr", {}, ...head.map(t => html("th", { scope: "col" }, t)))),
+      html("tbody", {}, ...rows.map(row => html("tr", {}, ...row.map(t => html("td", {}, t)))))));
+    $(".rig-fit").hidden = !measured;
+    $(".rig-notes").replaceChildren(...told.notes.slice(-6).map(note => html("li", {}, note)));
+    const mean = (/** @type {"plan" | "move" | "settle" | "expose" | "merge" | "solve"} */ key) => Math.round(1000 * lights.reduce((sum, l) => sum + l[key], 0) / lights.length);
+    $(".rig-budget").textContent = lights.length
+      ? `A light takes, on average: plan ${mean("plan")} ms, move ${mean("move")} ms, settle ${mean("settle")} ms, expose ${mean("expose")} ms, merge ${mean("merge")} ms, solve ${mean("solve")} ms.`
+      : "";
+    if (state) plot?.update({ light: state.shown.direction, target: state.target, done: lights });
+  }
+
+  /** @param {{ taken: number, lights: number } | null} session */
+  function offer(session) {
+    const again = button(".rig-continue");
+    again.hidden = !session;
+    if (session) again.textContent = `Continue (${session.taken} of ${session.lights} lights)`;
   }
 
   // ---- the port ----
-
-  function pump() {
-    clearTimeout(timer);
-    if (!port) return void show();
-    const bytes = rig.tick(now());
-    if (bytes.length) port.write(bytes);
-    const s = show();
-    if (s.phase === "closed") return void lost(s.reason ?? "the firmware does not answer");
-    timer = setTimeout(pump, Math.max((rig.wake(now()) ?? now() + 200) - now(), 1));
-    advance();
-  }
-
-  /** @param {any} raw */
-  async function open(raw) {
-    /** @type {Port} */
-    const mine = new Port(raw, {
-      bytes: bytes => { if (port === mine) { rig.receive(now(), bytes); pump(); } },
-      lost: reason => { if (port === mine) lost(reason); },
-    });
-    await mine.open();
-    port = mine;
-    rig.opened(now());
-    // Before anything is asked of the capture: stuck for the port that was lost, it would end what it can now go on with.
-    rig.retry();
-    pump();
-  }
-
-  /** @param {string} reason */
-  async function lost(reason) {
-    const gone = port;
-    if (!gone) return;
-    port = null;
-    rig.closed(reason);
-    show();
-    await gone.close();
-    if (!wanted) return;
-    const said = rig.shown().reason;
-    // A board that does not speak Grbl will not speak it on the next try either.
-    if (/not as Grbl|did not confirm/.test(said ?? "")) {
-      wanted = false;
-      show();
-      return help("The port opened, but nothing there speaks Grbl 1.1 at 115200 baud.");
-    }
-    const end = now() + RECONNECT_MS;
-    while (wanted && now() < end) {
-      await sleep(400);
-      // After a re-enumeration the same device may be another object.
-      const again = serial() && !(gone.raw instanceof SimulatedPort) ? (await serial().getPorts()).find((/** @type {any} */ p) => p === gone.raw) ?? gone.raw : gone.raw;
-      try {
-        return await open(again);
-      } catch { /* not there yet */ }
-    }
-    wanted = false;
-    show();
-    addLog({ kind: "failed", text: `The port did not come back in ${RECONNECT_MS / 1000} s (${reason}). The session is stored: connect and continue.` });
-  }
 
   /** @param {string} text */
   function help(text) {
@@ -240,14 +175,41 @@ export async function mount(root, page) {
     find(root, "dialog", HTMLDialogElement).showModal();
   }
 
+  /** @param {any} [chosen] */
+  async function listPorts(chosen) {
+    remembered = serial() ? await serial().getPorts() : [];
+    select(".rig-port").replaceChildren(
+      html("option", { value: "simulated" }, "Simulated arm"),
+      ...remembered.map((p, i) => html("option", { value: `port${i}`, selected: p === chosen }, portName(p))),
+      html("option", { value: "choose" }, "Choose a serial port…"),
+    );
+  }
+
+  /** Gives the port to a worker of its own where the browser can, else serves it here. @param {any} raw @returns {Promise<MessagePort>} */
+  async function serve(raw) {
+    const { port1, port2 } = new MessageChannel();
+    const worker = portWorker;
+    const answer = worker && await new Promise(resolve => {
+      worker.onmessage = ({ data }) => resolve(data);
+      worker.onerror = () => resolve(null);
+      worker.postMessage({ type: "take", info: raw.getInfo(), rig: port1 }, [port1]);
+    });
+    if (answer?.type === "taken") {
+      host = { stop: () => worker?.postMessage({ type: "stop" }), close: () => worker?.postMessage({ type: "close" }) };
+    } else {
+      host = new Host(raw, answer?.rig ?? port1);
+    }
+    set(root, { "data-port": answer?.type === "taken" ? "worker" : "page" });
+    return port2;
+  }
+
   async function connect() {
     say("");
-    const choice = /** @type {HTMLSelectElement} */ (root.querySelector(".rig-port")).value;
-    let raw;
+    const choice = select(".rig-port").value;
+    let raw = null;
     try {
-      if (choice === "simulated") raw = new SimulatedPort();
-      else if (choice.startsWith("port")) raw = remembered[Number(choice.slice(4))];
-      else {
+      if (choice.startsWith("port")) raw = remembered[Number(choice.slice(4))];
+      else if (choice === "choose") {
         const missing = unsupported();
         if (missing) return say(missing);
         raw = await serial().requestPort();
@@ -257,244 +219,270 @@ export async function mount(root, page) {
       if (/** @type {Error} */ (error).name === "NotFoundError") return help("No port was chosen. If yours was not in the list:");
       return say(explain(error));
     }
-    wanted = true;
-    show();
     try {
-      await open(raw);
+      host = null;
+      const port = raw ? await serve(raw) : null;
+      await client.call("connect", { rig: port }, port ? [port] : []);
     } catch (error) {
-      wanted = false;
-      show();
       say(explain(error));
     }
   }
 
-  async function disconnect() {
-    wanted = false;
-    mode = "idle";
-    const gone = port;
-    port = null;
-    clearTimeout(timer);
-    rig.closed(undefined);
-    show();
-    await gone?.close();
-  }
-
-  /** @param {any} [chosen] */
-  async function listPorts(chosen) {
-    remembered = serial() ? await serial().getPorts() : [];
-    const select = /** @type {HTMLSelectElement} */ (root.querySelector(".rig-port"));
-    select.replaceChildren(
-      html("option", { value: "simulated" }, "Simulated arm"),
-      ...remembered.map((p, i) => html("option", { value: `port${i}`, selected: p === chosen }, portName(p))),
-      html("option", { value: "choose" }, "Choose a serial port…"),
-    );
-  }
-
   function stop() {
-    mode = "idle";
-    if (!port) return;
-    rig.stop(now());
-    // Straight to the port: two bytes, nothing before them.
-    port.write(rig.takeOutput());
-    pump();
+    const sent = host !== null && state?.shown.phase !== "closed";
+    // Straight to the port: two bytes, nothing before them and no worker to wait for.
+    if (sent) host?.stop();
+    $(".rig-ask").hidden = true;
+    client.call("stop", { sent }).catch(failed);
   }
 
   // ---- the capture ----
 
-  const idle = () => mode === "idle"; // it changes while a capture waits
+  /** @returns {import("./messages.js").Camera} */
+  function camera() {
+    const kind = select(".rig-camera").value;
+    const levels = { black: number(".rig-black") || 0, white: Number.isFinite(number(".rig-white")) ? number(".rig-white") : null };
+    if (kind === "folder") {
+      if (!watched) throw new Error("Choose the folder that the camera saves to.");
+      return { kind, folder: watched, ...levels };
+    }
+    if (kind === "files") return { kind, ...levels };
+    return kind === "webcam" ? { kind } : { kind: "sim" };
+  }
 
-  async function advance() {
-    if (advancing || !capturing || idle() || !port) return;
-    advancing = true;
+  function exposures() {
+    const list = input(".rig-exposures").value.split(/[\s,;]+/).filter(Boolean).map(Number);
+    // A webcam whose exposure can't be set takes one picture.
+    return select(".rig-camera").value === "webcam" && !webcam.exposureRange() ? list.slice(-1) : list;
+  }
+
+  /** @returns {import("./messages.js").CaptureSettings} */
+  function settings() {
+    const sim = select(".rig-camera").value === "sim";
+    const ball = sim ? input(".rig-ball").checked : input(".rig-mirror").checked;
+    return {
+      camera: sim ? "sim" : "frames",
+      object: sim ? select(".rig-object").value : input(".rig-name").value.trim() || "object",
+      material: "lambert:0.8",
+      size: 96,
+      planner: select(".rig-planner").value,
+      lights: number(".rig-lights"),
+      seed: number(".rig-seed"),
+      reach: number(".rig-reach"),
+      nearby: number(".rig-nearby") > 0 ? number(".rig-nearby") : null,
+      exposures: exposures(),
+      settle: number(".rig-settle"),
+      brightness: number(".rig-brightness"),
+      shutter: input(".rig-shutter").checked,
+      dark: input(".rig-dark").checked,
+      homing: input(".rig-homing").checked,
+      sphere: !ball ? null : sim ? { x: 0, y: 0, radius: 1 } : mask.outline,
+      misaligned: sim && input(".rig-askew").checked ? ASKEW : [0, 0, 0, 0],
+    };
+  }
+
+  /** @param {"auto" | "one"} mode @param {boolean} stored */
+  async function begin(mode, stored) {
+    say("");
     try {
-      for (;;) {
-        if (idle() || !port) return;
-        const doing = rig.step(now());
-        const out = rig.takeOutput();
-        if (out.length) port.write(out);
-        target = doing.commanded;
-        $(".rig-progress").textContent = doing.action === "done" ? `${doing.taken} of ${doing.lights} lights. Done.` : `Light ${doing.taken + 1} of ${doing.lights}: ${doing.doing}${doing.projected ? ` (out of reach, projected by ${doing.projected.toFixed(1)}°)` : ""}`;
-        if (doing.action === "wait") {
-          if (doing.until !== null) setTimeout(pump, Math.max(doing.until - now(), 1));
-          return;
-        }
-        if (doing.action === "expose") {
-          const board = port.raw instanceof SimulatedPort || "board" in port.raw ? /** @type {any} */ (port.raw).board : null;
-          const s = rig.shown();
-          const [azimuth, slant, led] = board ? board.truth() : [s.azimuth ?? 0, s.slant ?? 0, s.led ?? 0];
-          const seconds = doing.until / 1000;
-          await sleep(doing.until + READ_OUT_MS);
-          // What happened meanwhile decides whether the exposure is still wanted.
-          if (rig.step(now()).action === "expose") rig.exposeSimulated(azimuth, slant, led, seconds);
-          continue;
-        }
-        if (doing.action === "store") {
-          const files = rig.takeFiles();
-          await save(files);
-          rig.stored();
-          showPictures();
-          show();
-          if (mode === "one") {
-            setMode("idle");
-            $(".rig-progress").textContent = `${doing.taken + 1} of ${doing.lights} lights. Paused.`;
-            return;
-          }
-          continue;
-        }
-        if (doing.action === "done") {
-          setMode("idle");
-          capturing = false;
-          offerContinue();
-          page.announce("The capture is done");
-          return;
-        }
-        setMode("idle");
-        $(".rig-progress").textContent = `${doing.taken} of ${doing.lights} lights are stored. ${doing.reason ?? ""}`;
-        return;
+      if (!stored && input(".rig-mirror").checked && select(".rig-camera").value !== "sim" && !mask.outline) {
+        throw new Error("Mark the mirror sphere first, or untick it.");
       }
+      await client.call("begin", { mode, settings: settings(), camera: camera(), stored });
     } catch (error) {
-      setMode("idle");
-      page.problem("The capture can't go on", error, "What was captured is stored; continue when the cause is mended.");
-    } finally {
-      advancing = false;
+      failed(error);
     }
   }
 
-  /** @param {import("../pkg/core/coil_ps.js").SessionFile[]} files */
-  async function save(files) {
-    const copies = folder ? files.map(f => ({ name: f.name, bytes: f.bytes, free() {} })) : [];
-    await write(await ownFolder(), files);
-    if (folder) await write(folder, /** @type {any} */ (copies));
+  /** One picture, for the drawing or an exposure. @param {number} milliseconds @returns {Promise<import("./messages.js").Shot | null>} */
+  async function picture(milliseconds) {
+    if (select(".rig-camera").value === "webcam") return webcam.take(milliseconds, Math.max(1, number(".rig-average") || 1));
+    if (!given.length) given = await chooseImages() ?? [];
+    const file = given.shift();
+    return file ? { bytes: await file.arrayBuffer(), milliseconds } : null;
   }
 
-  /** @param {"idle" | "auto" | "one"} next */
-  function setMode(next) {
-    mode = next;
-    /** @type {HTMLButtonElement} */ (root.querySelector(".rig-pause")).disabled = next === "idle";
-  }
-
-  /** @param {"auto" | "one"} next */
-  async function begin(next) {
-    say("");
-    if (!port) return say("Connect the arm first: the simulated one needs no hardware.");
-    if (!capturing) {
-      try {
-        rig.startCapture(field(".rig-object").value, "lambert:0.8", 96, field(".rig-planner").value, Number(field(".rig-lights").value), Number(field(".rig-seed").value), undefined);
-      } catch (error) {
-        return say(/** @type {Error} */ (error).message);
-      }
-      await clear(await ownFolder());
-      await save(rig.takeFiles());
-      capturing = true;
-    } else rig.retry();
-    setMode(next);
-    $(".rig-continue").hidden = true;
-    pump();
-  }
-
-  async function continueSession() {
-    say("");
-    if (!port) return say("Connect the arm first.");
+  /** @param {import("./messages.js").Expose} asked */
+  async function expose({ number: k, index, milliseconds, count }) {
     try {
-      rig.startCapture("", "", 0, "", 0, 0, await read(await ownFolder()));
+      if (select(".rig-camera").value === "files" && !given.length) {
+        // A dialog needs a click.
+        const what = k ? `light ${k}` : "the dark frame";
+        button(".rig-give").textContent = `Choose ${count - index === 1 ? "the image" : `the ${count - index} images`} of ${what}`;
+        $(".rig-ask").hidden = false;
+        button(".rig-give").focus();
+        page.announce(`Images of ${what} are needed`);
+        await new Promise(resolve => { gave = () => resolve(null); });
+        $(".rig-ask").hidden = true;
+      }
+      const shot = await picture(milliseconds);
+      await client.call("exposed", { shot, reason: "no image was given" }, shot && "bitmaps" in shot ? shot.bitmaps : []);
     } catch (error) {
-      return say(/** @type {Error} */ (error).message);
+      await client.call("exposed", { shot: null, reason: explainCamera(error) });
     }
-    await save(rig.takeFiles());
-    capturing = true;
-    showPictures();
-    setMode("auto");
-    $(".rig-continue").hidden = true;
-    pump();
-  }
-
-  async function offerContinue() {
-    const button = $(".rig-continue");
-    button.hidden = true;
-    try {
-      const found = (await read(await ownFolder())).summary();
-      if (found.taken < found.lights) {
-        button.textContent = `Continue (${found.taken} of ${found.lights} lights)`;
-        button.hidden = false;
-      }
-    } catch { /* no session stored */ }
   }
 
   // ---- what people do ----
 
-  /** @param {() => unknown} work */
-  function attempt(work) {
+  /** @param {import("./messages.js").Order} order */
+  async function order(order) {
     say("");
     try {
-      work();
+      const { projected } = await client.call("order", { order });
+      if (projected > 0) say(`Out of the arm's range: going to the nearest reachable direction, ${projected.toFixed(1)}° off.`);
     } catch (error) {
-      say(/** @type {Error} */ (error).message);
+      failed(error);
     }
-    pump();
   }
 
-  const commands = /** @type {Record<string, () => unknown>} */ ({
-    home: () => rig.home(now()),
-    unlock: () => rig.unlock(now()),
-    hold: () => rig.hold(),
-    resume: () => rig.resume(),
-    release: () => rig.release(now()),
-    reset: () => rig.reset(now()),
-    jogCancel: () => rig.jogCancel(),
-    lightOn: () => rig.light(now(), 800),
-    lightOff: () => rig.light(now(), 0),
-    goto: () => {
-      const projected = rig.goto(now(), Number(field(".rig-az").value), Number(field(".rig-sl").value));
-      if (projected > 0) say(`Out of the arm's range: going to the nearest reachable direction, ${projected.toFixed(1)}° off.`);
-    },
+  for (const control of root.querySelectorAll("[data-do]")) {
+    control.addEventListener("click", () => {
+      const name = /** @type {HTMLElement} */ (control).dataset.do ?? "";
+      if (name === "goto") return order({ name, azimuth: number(".rig-az"), slant: number(".rig-sl") });
+      if (name === "lightOn") return order({ name: "light", brightness: number(".rig-brightness") });
+      if (name === "lightOff") return order({ name: "light", brightness: 0 });
+      return order({ name: /** @type {import("./messages.js").Plain} */ (name) });
+    });
+  }
+  for (const control of root.querySelectorAll("[data-jog]")) {
+    control.addEventListener("click", () => {
+      const [a, s] = (/** @type {HTMLElement} */ (control).dataset.jog ?? "0,0").split(",").map(Number);
+      const step = Number(select(".rig-step").value);
+      return order({ name: "jog", azimuth: a * step, slant: s * step });
+    });
+  }
+  on(".rig-stop", stop);
+  document.addEventListener("keydown", event => {
+    if (event.key === "Escape" && !root.hidden && state?.shown.phase !== "closed") stop();
   });
-  for (const button of root.querySelectorAll("[data-do]")) {
-    button.addEventListener("click", () => {
-      let projected = "";
-      attempt(() => { commands[/** @type {HTMLElement} */ (button).dataset.do ?? ""](); projected = $(".rig-said").textContent ?? ""; });
-      if (projected) say(projected);
-    });
-  }
-  for (const button of root.querySelectorAll("[data-jog]")) {
-    button.addEventListener("click", () => {
-      const [a, s] = (/** @type {HTMLElement} */ (button).dataset.jog ?? "0,0").split(",").map(Number);
-      const step = Number(field(".rig-step").value);
-      attempt(() => rig.jog(now(), a * step, s * step));
-    });
-  }
-  $(".rig-stop").addEventListener("click", stop);
-  document.addEventListener("keydown", event => { if (event.key === "Escape" && port && !root.hidden) stop(); });
-  $(".rig-connect").addEventListener("click", () => (wanted || port ? disconnect() : connect()));
-  $(".rig-auto").addEventListener("click", () => begin("auto"));
-  $(".rig-next").addEventListener("click", () => begin("one"));
-  $(".rig-pause").addEventListener("click", () => { setMode("idle"); $(".rig-progress").textContent = "Paused."; });
-  $(".rig-continue").addEventListener("click", continueSession);
-  for (const range of [".rig-rel-az", ".rig-rel-sl"]) field(range).addEventListener("input", relight);
-  $(".rig-copy").addEventListener("click", () => navigator.clipboard.writeText(log.join("\n")));
+  on(".rig-connect", () => state?.wanted || state && state.shown.phase !== "closed" ? client.call("disconnect", {}) : connect());
+  on(".rig-auto", () => begin("auto", false));
+  on(".rig-next", () => begin("one", false));
+  on(".rig-give", async () => {
+    given = await chooseImages() ?? [];
+    if (given.length) gave();
+  });
+  on(".rig-pause", () => { $(".rig-ask").hidden = true; return client.call("pause", {}); });
+  on(".rig-continue", () => begin("auto", true));
+  on(".rig-copy", () => navigator.clipboard.writeText(log.join("\n")).catch(failed));
   $(".rig-type").addEventListener("submit", event => {
     event.preventDefault();
-    const line = field(".rig-line").value.trim();
-    if (line) attempt(() => rig.raw(now(), line));
-    field(".rig-line").value = "";
+    const line = input(".rig-line").value.trim();
+    if (line) void order({ name: "raw", line });
+    input(".rig-line").value = "";
   });
-  $(".rig-folder").addEventListener("click", async () => {
+  let relighting = false;
+  async function relight() {
+    if (relighting) return;
+    relighting = true;
+    const light = () => ({ azimuth: number(".rig-rel-az"), slant: number(".rig-rel-sl") });
+    for (let before = ""; before !== JSON.stringify(light());) {
+      before = JSON.stringify(light());
+      const picture = await client.call("relight", light());
+      if (picture) draw(canvas(".rig-relit"), picture);
+    }
+    relighting = false;
+  }
+  for (const range of [".rig-rel-az", ".rig-rel-sl"]) input(range).addEventListener("input", () => void relight());
+
+  select(".rig-camera").addEventListener("change", () => {
+    const kind = select(".rig-camera").value;
+    for (const part of root.querySelectorAll(".rig-of")) {
+      /** @type {HTMLElement} */ (part).hidden = !(/** @type {HTMLElement} */ (part).dataset.camera?.split(" ").includes(kind));
+    }
+    $(".rig-real").hidden = kind === "sim";
+    $(".rig-watch").hidden = kind !== "folder";
+    given = [];
+    if (kind === "webcam") void listCameras();
+    else webcam.close();
+  });
+  async function listCameras() {
+    const missing = Webcam.unsupported();
+    if (missing) return say(missing);
+    const chosen = webcam.track?.getSettings().deviceId ?? "";
+    const devices = await Webcam.devices();
+    select(".rig-device").replaceChildren(
+      html("option", { value: "" }, "Any camera"),
+      ...devices.filter(d => d.deviceId).map((d, i) => html("option", { value: d.deviceId, selected: d.deviceId === chosen }, d.label || `Camera ${i + 1}`)),
+    );
+  }
+  on(".rig-open-camera", async () => {
+    say("");
     try {
-      folder = await chosenFolder();
-      say(folder ? "" : "This browser can't write to folders, or none was chosen: the session stays in the browser, download it as zip.");
-      if (folder) $(".rig-folder").textContent = `Also saved to “${folder.name}”`;
+      await webcam.open(select(".rig-device").value);
+      await listCameras();
+      const { held, free } = await webcam.lock();
+      const range = webcam.exposureRange();
+      const { width, height } = webcam.track?.getSettings() ?? {};
+      $(".rig-locks").textContent = [
+        `${width} × ${height} pixels.`,
+        held.length ? `Held still: ${held.join(", ")}.` : "",
+        free.length ? `This camera does not let the page hold ${free.join(", ")}: switch off what changes by itself in its own program.` : "",
+        range ? `Exposures from ${range.least} to ${range.most} ms can be set.` : "Its exposure time can't be set: one exposure is taken for each light.",
+        "Its pictures are taken as sRGB; normals from it are rough.",
+      ].filter(Boolean).join(" ");
+    } catch (error) {
+      say(explainCamera(error));
+    }
+  });
+  on(".rig-watch", async () => {
+    try {
+      watched = await chooseFolder("read", "rig-camera");
+      if (watched) button(".rig-watch").textContent = `Watching “${watched.name}”`;
+      else say("This browser can't watch folders, or none was chosen. Images can be chosen for each light instead.");
     } catch (error) {
       say(explain(error));
     }
   });
-  $(".rig-zip").addEventListener("click", async () => {
-    const files = await read(await ownFolder());
-    download(new Blob([/** @type {BlobPart} */ (files.zip("session"))], { type: "application/zip" }), "session.zip");
+  on(".rig-look", async () => {
+    say("");
+    try {
+      const kind = select(".rig-camera").value;
+      const milliseconds = exposures().at(-1) ?? 10;
+      const shot = kind === "folder" ? await chooseImages().then(async files => files && { bytes: await files[0].arrayBuffer(), milliseconds }) : await picture(milliseconds);
+      given = [];
+      const from = kind === "webcam" ? /** @type {const} */ ({ kind }) : { .../** @type {any} */ (camera()), folder: null };
+      if (shot) mask.show(await client.call("look", { shot, camera: from }, "bitmaps" in shot ? shot.bitmaps : []));
+    } catch (error) {
+      say(explainCamera(error));
+    }
   });
-  addEventListener("pagehide", () => void port?.close());
+  input(".rig-mirror").addEventListener("change", () => { mask.sphere = input(".rig-mirror").checked; });
+  on(".rig-fit-arm", async () => {
+    try {
+      const { mount: [a, s, x, y], before, after, count, arm } = await client.call("fit", {});
+      localStorage.setItem(ARM_KEY, arm);
+      $(".rig-fitted").textContent = `Zero: azimuth ${a.toFixed(2)}°, slant ${s.toFixed(2)}°; tilt ${x.toFixed(2)}°, ${y.toFixed(2)}°. Largest deviation of ${count} directions: ${before.toFixed(2)}° before, ${after.toFixed(2)}° after. Kept for this browser; the next capture goes by it.`;
+    } catch (error) {
+      $(".rig-fitted").textContent = /** @type {Error} */ (error).message;
+    }
+  });
+  on(".rig-folder", async () => {
+    try {
+      const folder = await chooseFolder("readwrite", "rig-session");
+      say(folder ? "" : "This browser can't write to folders, or none was chosen: the session stays in the browser, download it as zip.");
+      if (!folder) return;
+      await client.call("keep", { folder });
+      button(".rig-folder").textContent = `Also saved to “${folder.name}”`;
+    } catch (error) {
+      say(explain(error));
+    }
+  });
+  on(".rig-zip", async () => {
+    try {
+      download(new Blob([await client.call("zip", {})], { type: "application/zip" }), "session.zip");
+    } catch (error) {
+      failed(error);
+    }
+  });
+  addEventListener("pagehide", () => { host?.close(); webcam.close(); });
 
+  if (serial()) portWorker = new Worker(new URL("port-worker.js", import.meta.url), { type: "module", name: "coil-ps-port" });
+  const { limits, session } = await client.call("start", { arm: localStorage.getItem(ARM_KEY) });
+  plot = new Plot(limits);
+  $(".rig-dome").append(plot.element);
   const catalogue = await page.engine.call("catalogue", {});
-  $(".rig-planner").replaceChildren(...catalogue.planners.filter(p => !p.oracle).map(p => html("option", { value: p.name, selected: p.name === "tk22" }, p.label)));
+  select(".rig-planner").replaceChildren(...catalogue.planners.filter(p => !p.oracle).map(p => html("option", { value: p.name, selected: p.name === "tk22" }, p.label)));
   await listPorts();
-  await offerContinue();
-  show();
+  offer(session);
 }

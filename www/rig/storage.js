@@ -1,7 +1,5 @@
-// Where a session is kept: a folder of the user's where the browser can, else its own storage. Each file is replaced
-// as a whole: `createWritable` writes aside and swaps at `close`.
-
-import { SessionFiles } from "../pkg/core/coil_ps.js";
+// Where a session is kept: the browser's own storage, and a folder of the user's where the browser can. Each file is
+// replaced as a whole: `createWritable` writes aside and swaps at `close`. Runs in the rig's worker.
 
 const OWN = "rig-session";
 
@@ -11,35 +9,44 @@ export async function ownFolder() {
   return root.getDirectoryHandle(OWN, { create: true });
 }
 
-/** A folder that the user chooses; null where the browser has no such dialog, or none was chosen. */
-export async function chosenFolder() {
-  const choose = /** @type {any} */ (window).showDirectoryPicker;
-  if (!choose) return null;
-  try {
-    return /** @type {FileSystemDirectoryHandle} */ (await choose({ id: "rig-session", mode: "readwrite" }));
-  } catch (error) {
-    if (/** @type {Error} */ (error).name === "AbortError") return null;
-    throw error;
+/**
+ * @param {FileSystemDirectoryHandle} folder
+ * @param {{ name: string, bytes: Uint8Array }[]} files written in this order
+ */
+export async function write(folder, files) {
+  for (const { name, bytes } of files) {
+    const handle = await folder.getFileHandle(name, { create: true });
+    if (!handle.createWritable) { // Safari before 26
+      await writeAside(folder, name, bytes);
+      continue;
+    }
+    const stream = await handle.createWritable();
+    await stream.write(/** @type {BufferSource} */ (bytes));
+    await stream.close();
   }
 }
 
 /**
  * @param {FileSystemDirectoryHandle} folder
- * @param {import("../pkg/core/coil_ps.js").SessionFile[]} files written in this order
+ * @param {string} name
+ * @param {Uint8Array} bytes
  */
-export async function write(folder, files) {
-  for (const file of files) {
-    const handle = await folder.getFileHandle(file.name, { create: true });
-    const stream = await handle.createWritable();
-    await stream.write(/** @type {BufferSource} */ (file.bytes));
-    await stream.close();
-    file.free();
-  }
+async function writeAside(folder, name, bytes) {
+  const part = /** @type {any} */ (await folder.getFileHandle(`${name}.part`, { create: true }));
+  const access = await part.createSyncAccessHandle();
+  access.truncate(0);
+  access.write(bytes);
+  access.flush();
+  access.close();
+  await part.move(name);
 }
 
-/** @param {FileSystemDirectoryHandle} folder */
-export async function read(folder) {
-  const files = new SessionFiles();
+/**
+ * @template {{ add: (name: string, bytes: Uint8Array) => void }} F
+ * @param {FileSystemDirectoryHandle} folder
+ * @param {F} files
+ */
+export async function read(folder, files) {
   for await (const [name, handle] of /** @type {any} */ (folder).entries()) {
     if (handle.kind !== "file" || !/^[\w.]+$/.test(name)) continue;
     files.add(name, new Uint8Array(await (await handle.getFile()).arrayBuffer()));

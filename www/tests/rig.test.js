@@ -20,7 +20,8 @@ function standIn() {
   let port = null;
   const made = async () => {
     if (port) return port;
-    // The page's own module; it is initialised before a port is asked for.
+    const { default: init } = await import(new URL("pkg/core/coil_ps.js", document.baseURI).href);
+    await init({ module_or_path: new URL("pkg/core/coil_ps_bg.wasm", document.baseURI) });
     const { SimulatedPort } = await import(new URL("rig/simulated.js", document.baseURI).href);
     port = new SimulatedPort("guide");
     w.rigTest.port = port;

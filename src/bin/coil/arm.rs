@@ -11,7 +11,8 @@ use coil_ps::arm::grbl::{Command, Event, Phase, Trust, Way};
 use coil_ps::arm::kinematics::{Arm, Severity, check_settings};
 use coil_ps::arm::line::State;
 use coil_ps::light;
-use std::io::BufRead;
+use std::collections::VecDeque;
+use std::io::{BufRead, IsTerminal};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::mpsc::RecvTimeoutError;
@@ -259,7 +260,9 @@ fn sweep(lights: usize, reach: f32, rig: &Rig) -> anyhow::Result<ExitCode> {
 }
 
 fn console(rig: &Rig) -> anyhow::Result<ExitCode> {
-    let mut driver = Driver::connect(&PortArgs { pace: Pace::Real, ..rig.port.clone() })?;
+    // Nobody types in simulated time.
+    let pace = if std::io::stdin().is_terminal() { Pace::Real } else { rig.port.pace };
+    let mut driver = Driver::connect(&PortArgs { pace, ..rig.port.clone() })?;
     driver.show_log = true;
     tell(&driver);
     let (send, receive) = std::sync::mpsc::channel();
@@ -270,9 +273,21 @@ fn console(rig: &Rig) -> anyhow::Result<ExitCode> {
             }
         }
     });
+    // Typed lines go out as they come. Those of a script wait for the answer to the one before.
+    let patient = !std::io::stdin().is_terminal();
+    let mut waiting = VecDeque::new();
+    let mut ended = false;
     loop {
-        match receive.recv_timeout(Duration::from_millis(5)) {
-            Ok(line) => match line.trim() {
+        match receive.recv_timeout(Duration::from_millis(2)) {
+            Ok(line) => waiting.push_back(line),
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => ended = true,
+        }
+        let urgent = |line: &String| ["stop", "!", "~"].contains(&line.trim());
+        let free = !driver.link().busy();
+        if waiting.front().is_some_and(|line| free || !patient && line.trim() != "quit" || urgent(line)) {
+            let line = waiting.pop_front().unwrap_or_default();
+            match line.trim() {
                 "quit" => return Ok(ExitCode::SUCCESS),
                 "stop" => driver.stop(),
                 "release" => report(driver.release()),
@@ -282,12 +297,14 @@ fn console(rig: &Rig) -> anyhow::Result<ExitCode> {
                 "" => {}
                 text => {
                     let now = driver.now();
-                    report(driver.link_mut().send(now, Command::Raw(text.into())));
+                    let command = if text == "$H" { Command::Home } else { Command::Raw(text.into()) };
+                    report(driver.link_mut().send(now, command));
                 }
-            },
-            Err(RecvTimeoutError::Timeout) => {}
-            Err(RecvTimeoutError::Disconnected) if driver.link().busy() => driver.sleep(None),
-            Err(RecvTimeoutError::Disconnected) => return Ok(ExitCode::SUCCESS),
+            }
+        } else if ended && free && waiting.is_empty() {
+            return Ok(ExitCode::SUCCESS);
+        } else if !free {
+            driver.sleep(None);
         }
         driver.pump()?;
         for event in driver.take_events() {

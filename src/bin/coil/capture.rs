@@ -3,13 +3,14 @@
 use crate::arm::{ArmArgs, Driver, PortArgs};
 use anyhow::{Context, bail};
 use coil_ps::arm::grbl::{Command, Trust};
-use coil_ps::arm::kinematics::{Severity, check_settings};
+use coil_ps::arm::kinematics::{Mount, Severity, check_settings};
 use coil_ps::arm::line::State;
 use coil_ps::camera::{Camera, Domain};
 use coil_ps::dataset::diligent::normals_mat;
 use coil_ps::rig::camera::{Sensor, SimulatedCamera};
 use coil_ps::rig::capture::{Action, Capture, Options, Stuck};
-use coil_ps::rig::hdr::{Crop, Exposure, merge, threshold_mask};
+use coil_ps::rig::hdr::{Crop, Exposure, merge, threshold_level, threshold_mask};
+use coil_ps::rig::sphere::{self, Circle};
 use coil_ps::rig::store::{self, RECORD, Record, Write};
 use coil_ps::rig::thrifty::Thrifty;
 use coil_ps::rig::tiff::decode_frame;
@@ -86,6 +87,21 @@ pub struct Args {
     /// Mask (PNG, white on the object, of the size after the crop); without it, from the brightness under a frontal light.
     #[arg(long, value_name = "FILE")]
     mask: Option<PathBuf>,
+    /// Brightness that parts the object from its background, 1 at the shortest exposure's full scale; without it, from
+    /// the picture (Otsu).
+    #[arg(long, value_name = "LEVEL", conflicts_with = "mask")]
+    threshold: Option<f32>,
+    /// Mirror sphere beside the object, which shows where the light really is: X,Y,RADIUS in pixels of the whole picture, a
+    /// picture (PNG, TIFF) of it in room light, or `room` (the simulated camera takes that picture itself).
+    #[arg(long, value_name = "WHERE")]
+    sphere: Option<String>,
+    /// How the simulated arm really stands: AZIMUTH,SLANT,TILT_X,TILT_Y in degrees. The program does not know.
+    #[arg(long, value_parser = misaligned, allow_hyphen_values = true, value_name = "ANGLES")]
+    misaligned: Option<Mount>,
+    /// Folder with the learned planners' networks.
+    #[cfg(feature = "policy")]
+    #[arg(long, default_value = "models")]
+    models: PathBuf,
     /// Part of the sensor that is kept: LEFT,TOP,WIDTH,HEIGHT.
     #[arg(long, value_parser = crop)]
     crop: Option<Crop>,
@@ -100,7 +116,8 @@ pub struct Args {
     patience: f64,
 }
 
-fn crop(text: &str) -> Result<Crop, String> {
+/// A part of a picture, written LEFT,TOP,WIDTH,HEIGHT.
+pub fn crop(text: &str) -> Result<Crop, String> {
     let n: Vec<u32> = text.split(',').filter_map(|p| p.parse().ok()).collect();
     match n[..] {
         [left, top, width, height] if text.split(',').count() == 4 => Ok(Crop { left, top, width, height }),
@@ -108,36 +125,88 @@ fn crop(text: &str) -> Result<Crop, String> {
     }
 }
 
+fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
+    let n: Vec<f64> = text.split(',').map_while(|p| p.trim().parse().ok()).collect();
+    let n: [f64; N] = n.try_into().ok()?;
+    (text.split(',').count() == N && n.iter().all(|v| v.is_finite())).then_some(n)
+}
+
+fn misaligned(text: &str) -> Result<Mount, String> {
+    let [azimuth, slant, x, y] = numbers(text).ok_or("write AZIMUTH,SLANT,TILT_X,TILT_Y in degrees")?;
+    Ok(Mount { azimuth, slant, tilt: [x, y] })
+}
+
+/// A circle written X,Y,RADIUS.
+pub fn circle(text: &str) -> Option<Circle> {
+    let [x, y, radius] = numbers(text)?;
+    (radius > 0.0).then_some(Circle { x, y, radius })
+}
+
 /// Where exposures come from.
 enum Source<'a> {
-    Simulated { camera: SimulatedCamera<'a>, truth: Option<&'a [Vec3]> },
+    Simulated { scene: &'a dyn Camera, camera: SimulatedCamera, mount: Mount, truth: Option<&'a [Vec3]> },
     Folder { dir: PathBuf, known: BTreeSet<PathBuf>, black: u16, white: Option<u16>, patience: f64 },
 }
 
 impl Source<'_> {
     fn expose(&mut self, driver: &mut Driver, seconds: f64) -> anyhow::Result<Exposure> {
         match self {
-            Self::Simulated { camera, .. } => {
+            Self::Simulated { scene, camera, mount, .. } => {
                 // A simulated camera needs a simulated arm: it sees the light where it really is.
                 let truth = driver
                     .truth()
                     .context("--camera sim needs --arm sim: it has to know where the light is")?;
                 let full = driver.link().settings().get(&30).copied().unwrap_or(1000.0);
-                let direction = coil_ps::arm::kinematics::Mount::default().direction(truth.joints);
-                let exposure = camera.expose(direction, (truth.led / full) as f32, seconds)?;
+                let direction = mount.direction(truth.joints);
+                let exposure = camera.expose(*scene, direction, (truth.led / full) as f32, seconds)?;
                 // Exposure and read-out of 5 million 12-bit pixels over USB 3.
                 driver.spend(Duration::from_secs_f64(seconds + 0.03));
                 Ok(exposure)
             }
             Self::Folder { dir, known, black, white, patience } => {
                 let file = next_file(dir, known, *patience, driver)?;
-                let bytes = std::fs::read(&file)?;
-                let image = decode_frame(&bytes, 1 << 28).with_context(|| file.display().to_string())?;
+                let image = read_frame(&file)?;
                 let largest = if image.bits == BitDepth::Eight { 255 } else { 65535 };
                 Ok(Exposure { white: white.unwrap_or(largest), black: *black, image, seconds })
             }
         }
     }
+
+    /// Images that are there now belong to no exposure that is still to come.
+    fn forget(&mut self) -> anyhow::Result<()> {
+        if let Self::Folder { dir, known, .. } = self {
+            known.extend(list(dir)?);
+        }
+        Ok(())
+    }
+
+    /// The outline of the mirror sphere that `--sphere` names.
+    fn find_sphere(&mut self, place: &str, crop: Option<Crop>, exposure: f64) -> anyhow::Result<Circle> {
+        if let Some(circle) = circle(place) {
+            return Ok(circle);
+        }
+        let (image, name) = match self {
+            Self::Simulated { scene, camera, .. } if place == "room" => {
+                (camera.room(*scene, exposure).image, "the picture in room light")
+            }
+            _ if place == "room" => {
+                bail!("--sphere room is for --camera sim: give the file of a picture in room light")
+            }
+            _ => (read_frame(Path::new(place))?, place),
+        };
+        // It stands beside the object, which may be round as well.
+        let object = |x: f64, y: f64| crop.is_some_and(|c| c.contains(x, y));
+        let found =
+            sphere::find_outline(&sphere::values(&image).view(), object).with_context(|| name.to_string())?;
+        println!("mirror sphere: centre {:.1}, {:.1}, radius {:.1} pixels", found.x, found.y, found.radius);
+        Ok(found)
+    }
+}
+
+/// A picture file of a camera.
+pub fn read_frame(path: &Path) -> anyhow::Result<coil_ps::image::Image> {
+    let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
+    decode_frame(&bytes, 1 << 28).with_context(|| path.display().to_string())
 }
 
 /// Waits for a file that was not there before and has stopped growing; keeps the link alive meanwhile.
@@ -208,6 +277,9 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         let known = list(&dir)?.into_iter().collect();
         let source =
             Source::Folder { dir, known, black: args.black, white: args.white, patience: args.patience };
+        if args.misaligned.is_some() {
+            bail!("--misaligned is for --camera sim");
+        }
         return capture(&args, source, None);
     }
     if args.camera != "sim" {
@@ -225,21 +297,22 @@ fn simulated(args: &Args) -> anyhow::Result<ExitCode> {
     let options = SceneOptions { size: args.size, ..SceneOptions::default() };
     let scene = Scene::new(&args.object, &shape, &pose, &material.into(), &options)?;
     let camera = SceneCamera::new(&scene);
-    let source = Source::Simulated {
-        camera: SimulatedCamera::new(&camera, Sensor::default(), args.seed),
-        truth: Some(scene.truth()),
-    };
-    capture(args, source, Some(camera.mask().clone()))
+    capture(args, source(args, &camera, scene.truth()), Some(camera.mask().clone()))
 }
 
 #[cfg(not(feature = "render"))]
 fn simulated(args: &Args) -> anyhow::Result<ExitCode> {
     let sphere = coil_ps::rig::camera::Sphere::new(args.size)?;
-    let source = Source::Simulated {
-        camera: SimulatedCamera::new(&sphere, Sensor::default(), args.seed),
-        truth: Some(sphere.truth()),
-    };
-    capture(args, source, Some(sphere.mask().clone()))
+    capture(args, source(args, &sphere, sphere.truth()), Some(sphere.mask().clone()))
+}
+
+fn source<'a>(args: &Args, scene: &'a dyn Camera, truth: &'a [Vec3]) -> Source<'a> {
+    Source::Simulated {
+        scene,
+        camera: SimulatedCamera::new(Sensor::default(), args.seed, args.sphere.is_some()),
+        mount: args.misaligned.unwrap_or_default(),
+        truth: Some(truth),
+    }
 }
 
 fn check(args: &Args) -> anyhow::Result<()> {
@@ -279,6 +352,7 @@ fn prepare(args: &Args, driver: &mut Driver) -> anyhow::Result<()> {
 
 fn bracket(args: &Args, driver: &mut Driver, source: &mut Source) -> anyhow::Result<Vec<Exposure>> {
     let mut frames = Vec::new();
+    source.forget()?;
     if args.shutter {
         driver.execute(Command::Shutter(true))?;
     }
@@ -307,12 +381,6 @@ fn capture(args: &Args, mut source: Source, mask: Option<Mask>) -> anyhow::Resul
     }
     arm.axes = driver.link().axis_limits();
 
-    let dark = if args.dark {
-        driver.execute(Command::Light(0.0)).ok();
-        Some(bracket(args, &mut driver, &mut source)?)
-    } else {
-        None
-    };
     let resumed =
         if args.resume { Some(store::resume(|name| std::fs::read(args.out.join(name)).ok())?) } else { None };
     let mask = match (&resumed, &args.mask, mask) {
@@ -332,21 +400,34 @@ fn capture(args: &Args, mut source: Source, mask: Option<Mask>) -> anyhow::Resul
                     f.image = crop.apply(&f.image)?;
                 }
             }
-            threshold_mask(&merge(&frames, None)?)?
+            let merged = merge(&frames, None)?;
+            threshold_mask(&merged, args.threshold.unwrap_or_else(|| threshold_level(&merged)))?
         }
     };
+
+    let shortest = args.exposures.iter().copied().fold(f64::INFINITY, f64::min) / 1000.0;
+    let crop = match &source {
+        Source::Simulated { scene, camera, .. } => camera.crop(*scene),
+        Source::Folder { .. } => args.crop,
+    };
+    let ball = args.sphere.as_deref().map(|place| source.find_sphere(place, crop, shortest)).transpose()?;
 
     let info = planner::info(&args.planner)?;
     let truth = match &source {
         Source::Simulated { truth, .. } => *truth,
         Source::Folder { .. } => None,
     };
+    #[cfg(feature = "policy")]
+    let models = crate::models::Models::load(&args.models, std::slice::from_ref(&args.planner))?;
     let setup = planner::Setup {
         lights: args.lights,
         seed: args.seed,
         draw: 0,
         camera: None,
         truth: None,
+        #[cfg(feature = "policy")]
+        learned: Some(&models),
+        #[cfg(not(feature = "policy"))]
         learned: None,
     };
     let mut planner = planner::build(&args.planner, &setup)?;
@@ -360,6 +441,7 @@ fn capture(args: &Args, mut source: Source, mask: Option<Mask>) -> anyhow::Resul
         settle: args.settle,
         brightness: args.brightness,
         shutter: args.shutter,
+        dark: args.dark,
         auto_home: !args.no_home,
         ..Options::default()
     };
@@ -381,12 +463,13 @@ fn capture(args: &Args, mut source: Source, mask: Option<Mask>) -> anyhow::Resul
                 eprintln!("warning: {name} is damaged or gone and will be taken again");
             }
             println!("going on after {} of {} lights", resumed.seen.len(), args.lights);
-            Capture::resume(session, resumed, options, dark)?
+            Capture::resume(session, resumed, options)?
         }
         None => {
             let mut record = Record::new(&args.object, &args.planner, args.seed, args.lights, arm);
-            record.crop = args.crop;
-            Capture::new(session, record, options, dark)
+            record.crop = crop;
+            record.sphere = ball;
+            Capture::new(session, record, options)
         }
     };
     capture.record_mut().firmware = format!("Grbl {}", driver.link().version());
@@ -440,6 +523,7 @@ fn drive(
 ) -> anyhow::Result<Option<Stuck>> {
     let solver = solve::by_name(&args.solver)?;
     let mut reconnects = 0;
+    let mut fresh = false;
     loop {
         driver.pump()?;
         let now = driver.now();
@@ -450,6 +534,7 @@ fn drive(
             Action::Wait(until) => driver.sleep(until),
             Action::Plan => {
                 let start = Instant::now();
+                source.forget()?;
                 let plan = capture.plan(now, driver.link())?;
                 capture.timings().plan = start.elapsed().as_secs_f64();
                 if let Some(plan) = plan.filter(|p| p.projected > 0.0) {
@@ -460,13 +545,21 @@ fn drive(
                     );
                 }
             }
+            Action::Expose { index: 0, .. } if !args.shutter && !fresh => {
+                // Without a trigger, what was saved during the move shows the light elsewhere.
+                source.forget()?;
+                fresh = true;
+            }
             Action::Expose { seconds, .. } => match source.expose(driver, seconds) {
-                Ok(exposure) => capture.exposed(exposure)?,
+                Ok(exposure) => {
+                    fresh = false;
+                    capture.exposed(exposure)?;
+                }
                 Err(error) => return Ok(Some(Stuck::Failed(format!("{error:#}")))),
             },
             Action::Develop => {
                 let start = Instant::now();
-                let result = capture.develop(driver.link(), None);
+                let result = capture.develop(driver.link());
                 capture.timings().merge = start.elapsed().as_secs_f64();
                 if let Err(error) = result {
                     return Ok(Some(Stuck::Failed(error.to_string())));
@@ -484,8 +577,15 @@ fn drive(
                         (Ok(s), Some(t)) => format!("  error {:.2}°", coil_ps::error::mae(&s.normals, t)),
                         _ => String::new(),
                     };
+                    let seen = match (shot.measured, shot.uncertainty) {
+                        (Some(m), Some(u)) => {
+                            let off = f64::from(light::angle(m, shot.commanded)).to_degrees();
+                            format!("  measured {off:.2}° off (±{u:.2}°)")
+                        }
+                        _ => String::new(),
+                    };
                     println!(
-                        "{:>8.2} s  {}  azimuth {:7.2}° slant {:6.2}°  saturated {:.1} %  dark {:.1} %  noise {:.1} %{error}",
+                        "{:>8.2} s  {}  azimuth {:7.2}° slant {:6.2}°  saturated {:.1} %  dark {:.1} %  noise {:.1} %{seen}{error}",
                         driver.now().as_secs_f64(),
                         shot.file,
                         shot.joints.azimuth,

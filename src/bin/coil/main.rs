@@ -1,6 +1,7 @@
 //! `coil`: the command line of coil-ps. One file a subcommand.
 
 mod arm;
+mod calibrate;
 mod capture;
 mod eval;
 mod export;
@@ -58,6 +59,8 @@ enum Command {
     Render(render::Args),
     /// Drive the arm of a rig, real or simulated.
     Arm(arm::Args),
+    /// Measure light directions with a mirror sphere, and fit how the arm stands.
+    Calibrate(calibrate::Args),
     /// Take a whole session with a rig, real or simulated: plan, move, expose, merge, solve.
     Capture(Box<capture::Args>),
     /// Build what is stale of the page and serve it on this machine.
@@ -84,6 +87,7 @@ fn main() -> ExitCode {
         #[cfg(feature = "render")]
         Command::Render(args) => render::run(args),
         Command::Arm(args) => arm::run(args),
+        Command::Calibrate(args) => calibrate::run(args),
         Command::Capture(args) => capture::run(*args),
         Command::Serve(args) => serve::run(args),
         #[cfg(feature = "policy")]

@@ -19,11 +19,12 @@ fn ms(n: u64) -> Duration {
 }
 
 struct Rig<'a> {
+    sphere: &'a Sphere,
     now: Duration,
     link: Link,
     port: Faulty,
     capture: Capture<'a>,
-    camera: SimulatedCamera<'a>,
+    camera: SimulatedCamera,
     disk: BTreeMap<String, Vec<u8>>,
     /// Where the light really was, one a stored shot.
     truth: Vec<Vec3>,
@@ -42,18 +43,15 @@ fn session(sphere: &Sphere, lights: usize) -> Session<'static> {
 impl<'a> Rig<'a> {
     fn new(sphere: &'a Sphere, fault: Fault, at: Duration, seed: u64, lights: usize) -> Self {
         let record = Record::new("sphere", "random", 7, lights, Arm::default());
-        let capture = Capture::new(
-            session(sphere, lights),
-            record,
-            Options { settle: 0.1, ..Options::default() },
-            None,
-        );
+        let capture =
+            Capture::new(session(sphere, lights), record, Options { settle: 0.1, ..Options::default() });
         let mut rig = Self {
+            sphere,
             now: Duration::ZERO,
             link: Link::new(),
             port: Faulty::new(Simulated::arm(), fault, at, seed),
             capture,
-            camera: SimulatedCamera::new(sphere, Sensor { full_well: 0.0, ..Sensor::default() }, seed),
+            camera: SimulatedCamera::new(Sensor { full_well: 0.0, ..Sensor::default() }, seed, false),
             disk: BTreeMap::new(),
             truth: Vec::new(),
             in_flight: Vec3::Z,
@@ -143,11 +141,11 @@ impl<'a> Rig<'a> {
                     let real = self.port.board.truth();
                     self.in_flight = self.capture.record().arm.direction(real.joints);
                     let brightness = (real.led / 800.0) as f32;
-                    let e = self.camera.expose(self.in_flight, brightness, seconds).unwrap();
+                    let e = self.camera.expose(self.sphere, self.in_flight, brightness, seconds).unwrap();
                     self.now += Duration::from_secs_f64(seconds) + ms(20);
                     self.capture.exposed(e).unwrap();
                 }
-                Action::Develop => self.capture.develop(&self.link, None).unwrap(),
+                Action::Develop => self.capture.develop(&self.link).unwrap(),
                 Action::Store(writes) => {
                     self.write(writes);
                     self.truth.push(self.in_flight);
@@ -249,7 +247,7 @@ fn one(fault: Fault, seed: u64, sphere: &Sphere, span: Duration) -> (bool, bool)
         let mut sound = Rig::new(sphere, Fault::Split, Duration::from_secs(100_000), 1, LIGHTS);
         sound.truth = rig.truth.clone();
         sound.disk = rig.disk.clone();
-        sound.capture = Capture::resume(session(sphere, LIGHTS), back, Options::default(), None).unwrap();
+        sound.capture = Capture::resume(session(sphere, LIGHTS), back, Options::default()).unwrap();
         sound.run().unwrap();
         let whole = store::resume(|n| sound.disk.get(n).cloned()).unwrap();
         assert_eq!((whole.seen.len(), whole.damaged.len()), (LIGHTS, 0), "{text}");
@@ -296,7 +294,7 @@ fn a_damaged_image_is_taken_again() {
     rig.disk.get_mut("002.png").unwrap()[60] ^= 4;
     let back = store::resume(|n| rig.disk.get(n).cloned()).unwrap();
     assert_eq!(back.damaged, ["002.png"]);
-    rig.capture = Capture::resume(session(&sphere, LIGHTS), back, Options::default(), None).unwrap();
+    rig.capture = Capture::resume(session(&sphere, LIGHTS), back, Options::default()).unwrap();
     rig.run().unwrap();
     let whole = store::resume(|n| rig.disk.get(n).cloned()).unwrap();
     assert_eq!((whole.seen.len(), whole.record.shots[3].file.as_str()), (LIGHTS, "005.png"));
@@ -306,7 +304,7 @@ fn a_damaged_image_is_taken_again() {
 fn a_wrong_order_is_refused() {
     let sphere = Sphere::new(8).unwrap();
     let mut rig = Rig::new(&sphere, Fault::Split, Duration::from_secs(100_000), 1, LIGHTS);
-    let e = rig.camera.expose(Vec3::Z, 1.0, 1e-3).unwrap();
+    let e = rig.camera.expose(&sphere, Vec3::Z, 1.0, 1e-3).unwrap();
     assert!(matches!(rig.capture.exposed(e), Err(CaptureError::Order(_))));
     assert!(matches!(rig.capture.stored(), Err(CaptureError::Order(_))));
     assert!(matches!(rig.capture.plan(rig.now, &rig.link), Err(CaptureError::Order(_))));

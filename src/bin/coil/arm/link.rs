@@ -35,7 +35,8 @@ pub enum Pace {
 
 fn fault(text: &str) -> Result<(Fault, f64), String> {
     let known = || Fault::ALL.map(|f| format!("{f:?}").to_lowercase()).join(", ");
-    let (name, at) = text.split_once('@').ok_or("write FAULT@SECONDS, as unplug@8")?;
+    let (name, at) =
+        text.split_once('@').ok_or_else(|| format!("write FAULT@SECONDS, as unplug@8: {}", known()))?;
     let fault = Fault::by_name(name).ok_or_else(|| format!("no fault '{name}': {}", known()))?;
     let at = at.parse::<f64>().ok().filter(|t| (0.0..1e6).contains(t)).ok_or("the time must be seconds")?;
     Ok((fault, at))

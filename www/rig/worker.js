@@ -1,0 +1,557 @@
+// The rig's worker: the link to the arm, the capture, all computing and the storage. The view only shows (rig.js).
+//
+// What the bytes mean, what to send and where to go is decided in the core (src/arm, src/rig); here are clock, port,
+// camera frames and files.
+
+import * as core from "../pkg/core/coil_ps.js";
+import { LEARNED, loadFull } from "../learned.js";
+import { Port } from "./port.js";
+import { SimulatedPort } from "./simulated.js";
+import { clear, ownFolder, read, write } from "./storage.js";
+
+/** @typedef {import("./messages.js").Calls} Calls */
+/** @typedef {import("./messages.js").Kind} Kind */
+/** @typedef {import("./messages.js").Shot} Shot */
+/** @typedef {import("./port.js").PortEvents} PortEvents */
+/** @typedef {{ open: () => Promise<void>, write: (bytes: Uint8Array) => void, close: () => Promise<void> }} Line */
+
+/** A USB port takes so long to come back. */
+const RECONNECT_MS = 8000;
+/** Read-out of the simulated camera. */
+const READ_OUT_MS = 30;
+/** Side of the picture to draw the mask on. */
+const PREVIEW = 720;
+/** How long a watched folder may stay without a new image. */
+const PATIENCE_MS = 60_000;
+
+const ready = core.default({ module_or_path: new URL("../pkg/core/coil_ps_bg.wasm", import.meta.url) });
+const now = () => performance.now();
+const sleep = (/** @type {number} */ ms) => new Promise(resolve => setTimeout(resolve, ms));
+const tell = (/** @type {import("./messages.js").Told} */ told, /** @type {Transferable[]} */ transfer = []) => self.postMessage(told, { transfer });
+
+/** The build in use: the small one, until a learned planner is asked for. */
+let lib = core;
+/** @type {import("../pkg/core/coil_ps.js").Rig} */
+let rig;
+/** The trained planners that were loaded. @type {import("../learned.js").Models | null} */
+let models = null;
+
+/** Makes the line to the arm anew for each opening. @type {((events: PortEvents) => Line) | null} */
+let makeLine = null;
+/** @type {Line | null} */
+let line = null;
+/** @type {SimulatedPort | null} */
+let simulated = null;
+/** @type {MessagePort | null} */
+let channel = null;
+let wanted = false; // the user wants to be connected
+/** @type {ReturnType<typeof setTimeout> | undefined} */
+let timer;
+
+/** @type {"idle" | "auto" | "one"} */
+let mode = "idle";
+let capturing = false;
+let advancing = false;
+/** @type {import("./messages.js").Camera} */
+let camera = { kind: "sim" };
+/** @type {string | null} */
+let progress = null;
+/** @type {[number, number, number] | null} */
+let target = null;
+/** @type {((shot: { shot: Shot | null, reason: string }) => void) | null} */
+let shotCame = null;
+/** Files of the watched folder that belong to no exposure still to come. @type {Set<string>} */
+let known = new Set();
+/** A folder of the user's that the session is also saved to. @type {FileSystemDirectoryHandle | null} */
+let folder = null;
+
+/** The picture that the mask is drawn on. @type {import("../pkg/core/coil_ps.js").Frame | null} */
+let frame = null;
+/** @type {import("../pkg/core/coil_ps.js").MaskDrawing | null} */
+let mask = null;
+/** @type {number | null} */
+let level = null;
+
+let sun = { azimuth: 40, slant: 45 };
+let phaseBefore = "";
+let shownBefore = "";
+
+// ---- what is told ----
+
+function show() {
+  const shown = rig.shown();
+  const said = rig.takeLog();
+  let findings = null;
+  if (shown.phase === "ready" && phaseBefore !== "ready") findings = rig.findings();
+  phaseBefore = shown.phase;
+  const told = { type: /** @type {const} */ ("state"), shown, said, findings, wanted, mode, progress, target };
+  const text = JSON.stringify(told);
+  if (text !== shownBefore) tell(told);
+  shownBefore = text;
+  return shown;
+}
+
+/** @param {import("../pkg/core/coil_ps.js").Picture | undefined} picture */
+function take(picture) {
+  if (!picture) return null;
+  const { width, height, rgba } = picture;
+  picture.free();
+  return { width, height, data: /** @type {ArrayBuffer} */ (rgba.buffer) };
+}
+
+function tellTaken() {
+  const lights = rig.lights();
+  const photo = take(lights.length ? rig.photo(lights.length - 1) : undefined);
+  const [normals, relit] = [take(rig.normals()), take(rig.relight(sun.azimuth, sun.slant))];
+  tell(
+    { type: "taken", lights, photo, normals, relit, error: rig.error() ?? null, notes: rig.notes() },
+    [photo, normals, relit].flatMap(p => p ? [p.data] : []),
+  );
+}
+
+async function storedSession() {
+  try {
+    const { taken, lights } = (await read(await ownFolder(), new lib.SessionFiles())).summary();
+    return taken < lights ? { taken, lights } : null;
+  } catch {
+    return null; // there is none
+  }
+}
+
+// ---- the line to the arm ----
+
+/** The port of another thread. @param {MessagePort} rigPort @param {PortEvents} events @returns {Line} */
+function remote(rigPort, events) {
+  /** @type {{ resolve: () => void, reject: (error: Error) => void } | null} */
+  let opening = null;
+  rigPort.onmessage = ({ data }) => {
+    const message = /** @type {import("./host.js").FromHost} */ (data);
+    if (message.type === "bytes") events.bytes(message.bytes);
+    else if (message.type === "lost") events.lost(message.reason);
+    else if (message.type === "opened") opening?.resolve();
+    else if (message.type === "failed") opening?.reject(Object.assign(new Error(message.message), { name: message.name }));
+  };
+  const post = (/** @type {import("./host.js").ToHost} */ message) => rigPort.postMessage(message);
+  return {
+    open: () => new Promise((resolve, reject) => {
+      opening = { resolve, reject };
+      post({ type: "open" });
+    }),
+    write: bytes => post({ type: "write", bytes }),
+    close: async () => post({ type: "close" }),
+  };
+}
+
+async function open() {
+  if (!makeLine) throw new Error("no port was chosen");
+  /** @type {Line} */
+  const mine = makeLine({
+    bytes: bytes => { if (line === mine) { rig.receive(now(), bytes); pump(); } },
+    lost: reason => { if (line === mine) lost(reason); },
+  });
+  await mine.open();
+  line = mine;
+  rig.opened(now());
+  // Before anything is asked of the capture: stuck for the port that was lost, it would end what it can now go on with.
+  rig.retry();
+  pump();
+}
+
+function pump() {
+  clearTimeout(timer);
+  if (!line) return void show();
+  const bytes = rig.tick(now());
+  if (bytes.length) line.write(bytes);
+  const shown = show();
+  if (shown.phase === "closed") return void lost(shown.reason ?? "the firmware does not answer");
+  timer = setTimeout(pump, Math.max((rig.wake(now()) ?? now() + 200) - now(), 1));
+  advance();
+}
+
+/** @param {string} reason */
+async function lost(reason) {
+  const gone = line;
+  if (!gone) return;
+  line = null;
+  rig.closed(reason);
+  show();
+  await gone.close();
+  if (!wanted) return;
+  const said = rig.shown().reason ?? "";
+  // A board that does not speak Grbl will not speak it on the next try either.
+  if (/not as Grbl|did not confirm/.test(said)) {
+    wanted = false;
+    show();
+    return tell({ type: "help", text: "The port opened, but nothing there speaks Grbl 1.1 at 115200 baud." });
+  }
+  const end = now() + RECONNECT_MS;
+  while (wanted && now() < end) {
+    await sleep(400);
+    try {
+      return await open();
+    } catch { /* not there yet */ }
+  }
+  wanted = false;
+  show();
+  tell({ type: "problem", message: `The port did not come back in ${RECONNECT_MS / 1000} s (${reason}). The session is stored: connect and continue.` });
+}
+
+// ---- frames ----
+
+/** @param {Shot} shot @param {import("./messages.js").Camera} from */
+function frameOf(shot, from) {
+  if ("bytes" in shot) {
+    const { black, white } = "black" in from ? from : { black: 0, white: null };
+    return lib.Frame.decode(new Uint8Array(shot.bytes), shot.milliseconds, black, white ?? undefined);
+  }
+  const { width, height } = shot.bitmaps[0];
+  const context = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
+  if (!context) throw new Error("no canvas to read the camera's pictures with");
+  const mean = new lib.FrameAverage(width, height);
+  for (const bitmap of shot.bitmaps) {
+    context.drawImage(bitmap, 0, 0);
+    bitmap.close();
+    mean.add(new Uint8Array(context.getImageData(0, 0, width, height).data.buffer));
+  }
+  const made = mean.frame(shot.milliseconds);
+  mean.free();
+  return made;
+}
+
+/** @param {FileSystemDirectoryHandle} watched @returns {Promise<Map<string, FileSystemFileHandle>>} */
+async function images(watched) {
+  const found = new Map();
+  for await (const [name, handle] of /** @type {any} */ (watched).entries()) {
+    if (handle.kind === "file" && /\.(png|tiff?)$/i.test(name)) found.set(name, handle);
+  }
+  return found;
+}
+
+/** The next new image of the watched folder, once it has stopped growing. @param {FileSystemDirectoryHandle} watched @param {number} milliseconds */
+async function nextImage(watched, milliseconds) {
+  let last = "";
+  for (const end = now() + PATIENCE_MS; now() < end && mode !== "idle"; await sleep(80)) {
+    const [fresh] = [...await images(watched)].filter(([name]) => !known.has(name)).sort(([a], [b]) => a < b ? -1 : 1);
+    if (!fresh) continue;
+    const [name, handle] = fresh;
+    const file = await handle.getFile();
+    const size = `${name} ${file.size}`;
+    if (file.size && size === last) {
+      known.add(name);
+      return { bytes: await file.arrayBuffer(), milliseconds };
+    }
+    last = size;
+  }
+  if (mode === "idle") return null;
+  throw new Error(`no new image in the folder in ${PATIENCE_MS / 1000} s: does the camera save there, and is it triggered?`);
+}
+
+/** @param {Record<string, any>} doing */
+async function expose(doing) {
+  const milliseconds = doing.until;
+  if (rig.simulated) {
+    const s = rig.shown();
+    const [azimuth, slant, led] = simulated ? simulated.board.truth() : [s.azimuth ?? 0, s.slant ?? 0, s.led ?? 0];
+    await sleep(milliseconds + READ_OUT_MS);
+    // What happened meanwhile decides whether the exposure is still wanted.
+    if (rig.step(now()).action === "expose") rig.exposeSimulated(azimuth, slant, led, milliseconds);
+    return;
+  }
+  /** @type {Shot | null} */
+  let shot;
+  if (camera.kind === "folder") {
+    if (doing.index === 0 && !shutter) known = new Set((await images(camera.folder)).keys());
+    shot = await nextImage(camera.folder, milliseconds);
+  } else {
+    tell({ type: "expose", number: doing.number, index: doing.index, milliseconds, count: exposures });
+    const came = await new Promise(resolve => { shotCame = resolve; });
+    shotCame = null;
+    if (!came.shot && mode !== "idle") throw new Error(came.reason);
+    shot = came.shot;
+  }
+  if (shot && rig.step(now()).action === "expose") rig.expose(frameOf(shot, camera));
+}
+
+let shutter = false;
+let exposures = 1;
+
+// ---- the capture ----
+
+/** @param {Record<string, any>} doing */
+function words(doing) {
+  if (doing.action === "done") return `${doing.taken} of ${doing.lights} lights. Done.`;
+  const off = doing.projected ? ` (out of reach, projected by ${doing.projected.toFixed(1)}°)` : "";
+  return `Light ${doing.taken + 1} of ${doing.lights}: ${doing.doing}${off}`;
+}
+
+async function advance() {
+  if (advancing || !capturing || mode === "idle" || !line) return;
+  advancing = true;
+  let before = "";
+  try {
+    for (;;) {
+      if (idle() || !line) return;
+      const doing = rig.step(now());
+      const out = rig.takeOutput();
+      if (out.length) line.write(out);
+      target = doing.commanded;
+      progress = words(doing);
+      if (doing.doing === "moving" && before !== "moving" && camera.kind === "folder") known = new Set((await images(camera.folder)).keys());
+      before = doing.doing;
+      if (doing.action === "wait") {
+        if (doing.until !== null) setTimeout(pump, Math.max(doing.until - now(), 1));
+        return;
+      }
+      show();
+      if (doing.action === "expose") {
+        await expose(doing);
+        continue;
+      }
+      if (doing.action === "store") {
+        await save();
+        rig.stored();
+        tellTaken();
+        if (mode !== "one") continue;
+        end(`${doing.taken + 1} of ${doing.lights} lights. Paused.`, false);
+        return;
+      }
+      if (doing.action === "done") {
+        capturing = false;
+        return end(progress, true);
+      }
+      return end(`${doing.taken} of ${doing.lights} lights are stored. ${doing.reason ?? ""}`, false);
+    }
+  } catch (error) {
+    end("Interrupted; what was captured is stored.", false);
+    tell({ type: "problem", message: /** @type {Error} */ (error).message });
+  } finally {
+    advancing = false;
+  }
+}
+
+const idle = () => mode === "idle"; // it changes while a capture waits
+
+/** @param {string} text @param {boolean} done */
+async function end(text, done) {
+  mode = "idle";
+  progress = text;
+  show();
+  tell({ type: "ended", done, session: await storedSession() });
+}
+
+async function save() {
+  const files = rig.takeFiles().map(file => {
+    const { name, bytes } = file;
+    file.free();
+    return { name, bytes };
+  });
+  await write(await ownFolder(), files);
+  if (folder) await write(folder, files);
+}
+
+/** Lets this worker's rig plan with a network: the whole rig moves to the build that can run one. @param {string} planner */
+async function learn(planner) {
+  if (!(planner in LEARNED)) return;
+  const signal = new AbortController().signal;
+  const say = (/** @type {string} */ text) => { progress = text; show(); };
+  if (!models) {
+    const full = await loadFull(signal, say);
+    const drawn = mask?.pixels && { width: mask.width, height: mask.height, bytes: mask.bytes() };
+    const arm = rig.armConfig();
+    lib = full.lib;
+    models = full.models;
+    rig.free();
+    frame?.free();
+    frame = null;
+    rig = new lib.Rig();
+    rig.configureArm(arm);
+    mask = drawn ? lib.MaskDrawing.of(drawn.width, drawn.height, drawn.bytes) : null;
+    // The arm is asked for everything once more; its banner comes on a reset.
+    rig.opened(now());
+  }
+  await models.load(planner, signal, say);
+  models.lend(rig);
+}
+
+// ---- the mask ----
+
+function sketch() {
+  if (!frame || !mask) throw new Error("take a picture first");
+  const picture = take(frame.preview(PREVIEW, mask.pixels ? mask.copy() : undefined));
+  if (!picture) throw new Error("no picture");
+  const quality = mask.pixels ? frame.quality(mask) : null;
+  return { picture, width: frame.width, height: frame.height, pixels: mask.pixels, level, quality };
+}
+
+/** @template T @param {T | null} value @param {string} otherwise @returns {T} */
+function needed(value, otherwise) {
+  if (value === null) throw new Error(otherwise);
+  return value;
+}
+
+/** @type {{ [K in Kind]: (body: Calls[K]["body"]) => Promise<Calls[K]["reply"]> | Calls[K]["reply"] }} */
+const answers = {
+  async start({ arm }) {
+    rig = new lib.Rig();
+    if (arm) rig.configureArm(arm);
+    show();
+    return { limits: [...rig.limits()], session: await storedSession() };
+  },
+
+  async connect({ rig: port }) {
+    simulated = null;
+    channel = port;
+    if (port) makeLine = events => remote(port, events);
+    else {
+      const board = simulated = new SimulatedPort();
+      makeLine = events => new Port(board, events);
+    }
+    wanted = true;
+    show();
+    try {
+      await open();
+    } catch (error) {
+      wanted = false;
+      show();
+      throw error;
+    }
+  },
+
+  async disconnect() {
+    wanted = false;
+    mode = "idle";
+    const gone = line;
+    line = null;
+    clearTimeout(timer);
+    rig.closed(undefined);
+    show();
+    await gone?.close();
+  },
+
+  stop({ sent }) {
+    mode = "idle";
+    shotCame?.({ shot: null, reason: "stopped" });
+    if (!line) return;
+    rig.stop(now());
+    const bytes = rig.takeOutput();
+    // Another thread's port has sent them past us, and is silent until now.
+    if (sent && channel) channel.postMessage({ type: "resume" });
+    else line.write(bytes);
+    pump();
+  },
+
+  order({ order }) {
+    let projected = 0;
+    if (order.name === "goto") projected = rig.goto(now(), order.azimuth, order.slant);
+    else if (order.name === "jog") rig.jog(now(), order.azimuth, order.slant);
+    else if (order.name === "light") rig.light(now(), order.brightness);
+    else if (order.name === "raw") rig.raw(now(), order.line);
+    else if (order.name === "home" || order.name === "unlock" || order.name === "release" || order.name === "reset") rig[order.name](now());
+    else rig[order.name]();
+    pump();
+    return { projected };
+  },
+
+  async begin({ mode: next, settings, camera: chosen, stored }) {
+    if (!line) throw new Error("Connect the arm first: the simulated one needs no hardware.");
+    camera = chosen;
+    shutter = settings.shutter;
+    exposures = settings.exposures.length;
+    if (stored || !capturing) {
+      await learn(settings.planner);
+      const files = stored ? await read(await ownFolder(), new lib.SessionFiles()) : undefined;
+      rig.startCapture(settings, mask?.pixels ? mask.copy() : undefined, files);
+      if (!stored) await clear(await ownFolder());
+      await save();
+      capturing = true;
+      tellTaken();
+    } else rig.retry();
+    mode = next;
+    pump();
+  },
+
+  pause() {
+    shotCame?.({ shot: null, reason: "paused" });
+    mode = "idle";
+    progress = "Paused.";
+    show();
+  },
+
+  exposed(came) {
+    shotCame?.(came);
+  },
+
+  look({ shot, camera: from }) {
+    frame?.free();
+    frame = frameOf(shot, from);
+    if (!mask || mask.width !== frame.width || mask.height !== frame.height) {
+      mask?.free();
+      mask = new lib.MaskDrawing(frame.width, frame.height);
+      level = null;
+    }
+    return sketch();
+  },
+
+  draw({ stroke }) {
+    const drawn = needed(mask, "take a picture first");
+    if (stroke.kind === "threshold") level = drawn.threshold(needed(frame, "take a picture first"), stroke.level ?? undefined);
+    else if (stroke.kind === "polygon") drawn.polygon(new Float64Array(stroke.corners), stroke.add);
+    else if (stroke.kind === "stroke") drawn.stroke(...stroke.from, ...stroke.to, stroke.radius, stroke.add);
+    else {
+      mask = new lib.MaskDrawing(drawn.width, drawn.height);
+      drawn.free();
+    }
+    return sketch();
+  },
+
+  findOutline() {
+    return needed(frame, "take a picture of the sphere in room light first").outline(mask?.pixels ? mask.copy() : undefined);
+  },
+
+  fitOutline({ points }) {
+    return lib.fitCircle(new Float64Array(points));
+  },
+
+  measure({ outline }) {
+    return needed(frame, "take a picture of the sphere under the LED first").measure(outline);
+  },
+
+  fit() {
+    const [azimuth, slant, x, y, before, after, count] = rig.fitMount();
+    return { mount: [azimuth, slant, x, y], before, after, count, arm: rig.armConfig() };
+  },
+
+  relight(light) {
+    sun = light;
+    return take(rig.relight(light.azimuth, light.slant));
+  },
+
+  async keep({ folder: chosen }) {
+    folder = chosen;
+    if (!folder || !capturing) return;
+    // What was taken before the folder was chosen.
+    const files = /** @type {{ name: string, bytes: Uint8Array }[]} */ ([]);
+    await read(await ownFolder(), { add: (name, bytes) => void files.push({ name, bytes }) });
+    await write(folder, files.sort((a, b) => Number(a.name === "session.json") - Number(b.name === "session.json")));
+  },
+
+  async zip() {
+    const files = await read(await ownFolder(), new lib.SessionFiles());
+    return /** @type {ArrayBuffer} */ (files.zip("session").buffer);
+  },
+};
+
+/** @param {MessageEvent<import("./messages.js").Request>} event */
+self.onmessage = async ({ data }) => {
+  const { id, kind, ...body } = data;
+  try {
+    await ready;
+    const answer = /** @type {(body: object) => any} */ (answers[kind]);
+    const value = await answer(body);
+    const buffer = value?.picture?.data ?? value?.data ?? (value instanceof ArrayBuffer ? value : null);
+    self.postMessage({ id, type: "done", value }, { transfer: buffer ? [buffer] : [] });
+  } catch (error) {
+    const { name, message } = error instanceof Error || error instanceof DOMException ? error : new Error(String(error));
+    self.postMessage({ id, type: "failed", error: { name, message } });
+  }
+};
