@@ -356,7 +356,7 @@ pub struct Quality {
     pub saturated: f32,
     /// Share of the mask that is black in every exposure.
     pub dark: f32,
-    /// Noise: standard deviation of a grey value over the median value of the mask.
+    /// Noise: standard deviation of a grey value over the mean value of the mask.
     pub noise: f32,
 }
 
@@ -371,7 +371,8 @@ impl Merged {
         let grey = |p: usize| self.rgb[p].iter().sum::<f32>() / 3.0;
         let w = self.width as usize;
         let inside = mask.scatter(&vec![true; mask.len()], false);
-        let mut values: Vec<f32> = mask.indices().iter().map(|&i| grey(i as usize)).collect();
+        // The mean: under a low light half of the mask may be in shadow.
+        let level = mask.indices().iter().map(|&i| grey(i as usize)).sum::<f32>() / mask.len() as f32;
         let mut residuals = Vec::new();
         for &i in mask.indices() {
             let p = i as usize;
@@ -389,7 +390,6 @@ impl Merged {
         }
         // The filter has norm 6; the median of |normal| is 0.6745 σ.
         let noise = median(&mut residuals) / 0.6745 / 6.0;
-        let level = median(&mut values);
         Quality {
             saturated: share(&self.saturated),
             dark: share(&self.dark),

@@ -42,13 +42,13 @@ export async function servePage() {
   return { url: `http://127.0.0.1:${address.port}/`, close: () => server.close() };
 }
 
-/** @returns {Promise<import("playwright-core").Browser>} */
-export function launch() {
+/** @param {string[]} [more] switches of Chromium @returns {Promise<import("playwright-core").Browser>} */
+export function launch(more = []) {
   const names = [process.env.CHROMIUM, "chromium", "chromium-browser", "google-chrome"];
   const executablePath = names.flatMap(name => name ? spawnSync("which", [name], { encoding: "utf8" }).stdout.trim() : [])
     .find(path => path);
   if (!executablePath) throw new Error("no Chromium: install one (setup/browser.sh) or name it in CHROMIUM");
-  const args = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"];
+  const args = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync", ...more];
   return chromium.launch({ executablePath, args });
 }
 

@@ -120,7 +120,7 @@ fn measure(args: &SphereArgs) -> anyhow::Result<ExitCode> {
         let exposure = full(path)?;
         if let Some(dark) = &dark {
             // Says which sizes don't fit.
-            merge(&[exposure.clone()], Some(std::slice::from_ref(dark)))
+            merge(std::slice::from_ref(&exposure), Some(std::slice::from_ref(dark)))
                 .with_context(|| path.display().to_string())?;
         }
         let seen = sphere::measure(&exposure, dark.as_ref(), &outline);
