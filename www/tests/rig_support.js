@@ -1,0 +1,99 @@
+// The rig view in Chromium: a Web Serial stand-in at `navigator.serial`, behind it the simulated Grbl of the core.
+
+import assert from "node:assert/strict";
+import { after, before } from "node:test";
+import { launch, openPage, servePage } from "./support.js";
+
+/** @type {Awaited<ReturnType<typeof servePage>>} */
+export let site;
+/** @type {import("playwright-core").Browser} */
+let browser;
+before(async () => { site = await servePage(); browser = await launch(); });
+after(async () => { await browser?.close(); site?.close(); });
+
+/** Puts a serial API in place whose one port is the simulated board. Runs in the page before it loads. */
+function standIn() {
+  /** @type {any} */
+  const w = window;
+  w.rigTest = { answer: "board", remembered: false, gone: false };
+  /** @type {any} */
+  let port = null;
+  const made = async () => {
+    if (port) return port;
+    const { default: init } = await import(new URL("pkg/core/coil_ps.js", document.baseURI).href);
+    await init({ module_or_path: new URL("pkg/core/coil_ps_bg.wasm", document.baseURI) });
+    const { SimulatedPort } = await import(new URL("rig/simulated.js", document.baseURI).href);
+    port = new SimulatedPort("guide");
+    w.rigTest.port = port;
+    const open = port.open.bind(port);
+    port.open = async (/** @type {any} */ options) => {
+      if (w.rigTest.gone) throw new DOMException("Failed to open serial port.", "NotFoundError");
+      if (w.rigTest.answer === "busy") throw new DOMException("Failed to open serial port.", "NetworkError");
+      if (options.baudRate !== 115200) throw new TypeError("baud rate");
+      return open();
+    };
+    port.getInfo = () => ({ usbVendorId: 0x2341, usbProductId: 0x0043 });
+    return port;
+  };
+  Object.defineProperty(navigator, "serial", {
+    configurable: true,
+    value: {
+      async getPorts() { return w.rigTest.remembered ? [await made()] : []; },
+      async requestPort() {
+        if (w.rigTest.answer === "deny") throw new DOMException("No port selected by the user.", "NotFoundError");
+        w.rigTest.remembered = true;
+        return made();
+      },
+      addEventListener() {},
+    },
+  });
+}
+
+/** The same port once more, in the worker that serves ports. @param {string} base */
+export async function standInWorker(base) {
+  const { default: init } = await import(new URL("pkg/core/coil_ps.js", base).href);
+  await init({ module_or_path: new URL("pkg/core/coil_ps_bg.wasm", base) });
+  const { SimulatedPort } = await import(new URL("rig/simulated.js", base).href);
+  const port = new SimulatedPort("guide");
+  port.getInfo = () => ({ usbVendorId: 0x2341, usbProductId: 0x0043 });
+  /** @type {any} */ (self).rigTest = { port };
+  Object.defineProperty(navigator, "serial", { configurable: true, value: { getPorts: async () => [port] } });
+}
+
+/**
+ * @param {(page: import("playwright-core").Page) => Promise<void>} body
+ * @param {boolean} [serial] with the stand-in
+ * @param {import("playwright-core").Browser} [within]
+ */
+export async function withRig(body, serial = true, within = browser) {
+  const { page, context, complaints } = await openPage(within);
+  try {
+    if (serial) await page.addInitScript(standIn);
+    await page.goto(site.url);
+    await page.getByRole("tab", { name: "Rig" }).click();
+    await page.locator(".rig-planner option").first().waitFor({ state: "attached" });
+    await body(page);
+    assert.deepEqual(complaints.filter(c => !/Failed to load resource/.test(c)), []);
+  } finally {
+    await context.close();
+  }
+}
+
+/** @param {import("playwright-core").Page} page @param {string} choice */
+export async function connect(page, choice) {
+  await page.locator(".rig-port").selectOption(choice);
+  await page.getByRole("button", { name: "Connect", exact: true }).click();
+}
+
+/** @param {import("playwright-core").Page} page @param {RegExp} text */
+export const state = (page, text, timeout = 20_000) => page.waitForFunction(
+  source => new RegExp(source).test(document.querySelector(".rig-state")?.textContent ?? ""), text.source, { timeout });
+
+/** @param {import("playwright-core").Page} page */
+export const lines = page => page.evaluate(() => /** @type {any} */ (window).rigTest.port.board.lines());
+
+/** @param {import("playwright-core").Page} page */
+export async function home(page) {
+  await page.getByRole("button", { name: "Home", exact: true }).click();
+  await page.waitForFunction(() => document.querySelector(".rd-trust")?.textContent === "known, homed", null, { timeout: 60_000 });
+}
