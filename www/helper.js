@@ -1,6 +1,7 @@
-// Works for the worker: decodes images (bytes in, the values of the object's pixels out) and solves pieces of an object.
+// Works for the worker: decodes images (bytes in, the values of the object's pixels out) solves pieces of an object and
+// integrates its normals.
 
-import { decodePixels, initSync, loadPixelNetwork, solvePiece } from "./pkg/core/coil_ps.js";
+import { decodePixels, initSync, integrateNormals, loadPixelNetwork, solvePiece } from "./pkg/core/coil_ps.js";
 
 /** @typedef {import("./messages.js").HelperReply} HelperReply */
 
@@ -18,6 +19,9 @@ self.onmessage = async ({ data }) => {
       reply({ kind: "done", id, bits: 0, result: new ArrayBuffer(0) });
     } else if (data.kind === "piece") {
       const { buffer } = solvePiece(data.solver, data.lights, data.values, data.count);
+      reply({ kind: "done", id, bits: 0, result: /** @type {ArrayBuffer} */ (buffer) });
+    } else if (data.kind === "normals") {
+      const { buffer } = integrateNormals(data.mask, data.width, data.height, data.normals);
       reply({ kind: "done", id, bits: 0, result: /** @type {ArrayBuffer} */ (buffer) });
     } else {
       if (!object) throw new Error("no mask came before the first image");

@@ -1,4 +1,4 @@
-// Workers that share long work: images to decode, pieces of an object to solve.
+// Workers that share long work: images to decode, pieces of an object to solve, normals to integrate.
 
 /** @typedef {import("./messages.js").HelperReply} HelperReply */
 /** @typedef {import("./messages.js").HelperRequest} HelperRequest */
@@ -11,12 +11,12 @@ const MOST = 8;
 /** Pixels of a piece: some 25 ms of the learned solver, after which a helper hears of something more urgent. */
 const PIECE = 512;
 /** Messages that a helper is given ahead, so that it never waits. */
-const AHEAD = { image: 4, piece: 2 };
+const AHEAD = { image: 4, piece: 2, normals: 1 };
 
 /**
  * Work that can be shared.
  * @typedef {object} Job
- * @property {"image" | "piece"} kind
+ * @property {keyof typeof AHEAD} kind
  * @property {() => { message: HelperRequest & { id: number }, transfer: Transferable[] } | null} next null when all is given out
  * @property {(reply: Done) => void} done takes a result in
  * @property {(error: Error) => void} fail
@@ -108,6 +108,31 @@ export class Helpers {
     }, urgent);
   }
 
+  /**
+   * Heights of an object's pixels from their normals: seconds, in one helper.
+   * @param {{ mask: Uint8Array, width: number, height: number, normals: Float32Array }} object
+   * @param {AbortSignal} signal
+   */
+  async integrate(object, signal) {
+    await this.start();
+    signal.throwIfAborted();
+    const id = ++this.#lastId;
+    let given = false;
+    let heights = new Float32Array();
+    try {
+      await this.#share("normals", 1, signal, () => {
+        if (given) return null;
+        given = true;
+        return { message: { kind: "normals", id, ...object }, transfer: [] };
+      }, ({ result }) => { heights = new Float32Array(result); }, true);
+    } finally {
+      // One that was aborted is still at it: a new helper is there sooner.
+      const busy = this.#helpers.find(helper => helper.given.has(id));
+      if (busy) this.#end(busy);
+    }
+    return heights;
+  }
+
   /** Fetches the learned solver's network and gives it to all helpers; its bytes. */
   network() {
     this.#network ??= (async () => {
@@ -162,6 +187,7 @@ export class Helpers {
   /** @param {Helper} helper */
   #feed({ worker, given }) {
     for (const job of this.#jobs) {
+      if ([...given.values()].some(({ kind }) => kind === "normals")) return; // for seconds
       while (given.size < AHEAD[job.kind]) {
         const work = job.next();
         if (!work) break;
@@ -190,9 +216,14 @@ export class Helpers {
 
   /** @param {Helper} helper @param {Error} error */
   #lost(helper, error) {
+    this.#end(helper);
+    for (const job of helper.given.values()) job.fail(error);
+  }
+
+  /** Ends a helper; `start` makes another. @param {Helper} helper */
+  #end(helper) {
     helper.worker.terminate();
     this.#helpers = this.#helpers.filter(other => other !== helper);
-    this.#network = null; // a new helper must be given it
-    for (const job of helper.given.values()) job.fail(error);
+    this.#network = null; // the new one must be given it
   }
 }

@@ -50,7 +50,7 @@ const page = {
 
 page.engine.onCrash = error => page.problem(
   "The page's worker has failed", error,
-  "Reload the page. It needs WebAssembly with SIMD: Chrome or Edge 91, Firefox 89, Safari 16.4, or newer.",
+  "Reload the page. It needs Chrome or Edge 123, Firefox 121, Safari 17.5, or newer.",
 );
 
 /** @type {Map<string, { tab: HTMLButtonElement, panel: HTMLElement, view: View, mounted: boolean }>} */

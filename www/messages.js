@@ -102,6 +102,7 @@
  * @property {{ body: { asked: Direction[], lookup: string }, reply: number | null, progress: never }} score
  * @property {{ body: { light: Direction }, reply: Picture | null, progress: never }} relight
  * @property {{ body: { yaw: number, tilt: number, size: number }, reply: Picture | null, progress: never }} surface
+ * the surface is integrated first, where that was not done
  * @property {{ body: { index: number, size: number }, reply: Picture, progress: never }} photo
  * @property {{ body: { x: number, y: number }, reply: PixelInfo | null, progress: never }} pixel
  * @property {{ body: { width: number }, reply: Picture, progress: never }} colours
@@ -118,14 +119,17 @@
 
 /**
  * To a helper: the compiled module first; then for each object its mask (a byte a pixel) and its images; the learned
- * solver's network and then pieces (light directions, three numbers each; grey values, image after image).
+ * solver's network and then pieces (light directions, three numbers each; grey values, image after image); normals to
+ * integrate.
  * @typedef {{ kind: "module", module: WebAssembly.Module }
  *   | { kind: "object", mask: Uint8Array, width: number, height: number }
  *   | { kind: "image", id: number, bytes: File | ArrayBuffer, name: string }
  *   | { kind: "network", id: number, bytes: Uint8Array }
+ *   | { kind: "normals", id: number, mask: Uint8Array, width: number, height: number, normals: Float32Array }
  *   | { kind: "piece", id: number, solver: string, lights: Float32Array, values: Float32Array, count: number }} HelperRequest
  *
- * From a helper: of an image RGB code values of the mask pixels, 16 bit each; of a piece what `solvePiece` returns.
+ * From a helper: of an image RGB code values of the mask pixels, 16 bit each; of a piece what `solvePiece` returns;
+ * of normals the heights.
  * @typedef {{ kind: "done", id: number, bits: number, result: ArrayBuffer }
  *   | { kind: "failed", id: number, message: string }} HelperReply
  */

@@ -181,9 +181,9 @@ const answers = {
     return optional(state.relit?.under(new Float32Array(light))); // a newer view may have no normals
   },
 
-  surface({ yaw, tilt, size }) {
+  async surface({ yaw, tilt, size }, { signal }) {
     state.turn = { yaw, tilt };
-    return optional(surface()?.picture(yaw, tilt, size));
+    return state.shown?.solution ? take((await surface(signal)).picture(yaw, tilt, size)) : null;
   },
 
   photo({ index, size }) {
@@ -201,7 +201,7 @@ const answers = {
     return take(lib.colourBar(width));
   },
 
-  async export({ what }) {
+  async export({ what }, { signal }) {
     if (what === "object") {
       const object = needed(state.object, "open an object first");
       return file(object.toZip(), "application/zip", "diligent.zip");
@@ -213,11 +213,11 @@ const answers = {
       case "normals": return file(solved().normalsPng(), "image/png", "normals.png");
       case "errors": return file(needed(solved().errorPng(scale), "the true normals are not known"), "image/png", `error-0-${scale}deg.png`);
       case "expected": return png(needed(solved().uncertaintyPicture(scale), "the solver does not say how sure it is"), `predicted-error-0-${scale}deg.png`);
-      case "surface": return png(needed(surface(), "there are no normals yet").picture(state.turn.yaw, state.turn.tilt, 1024), "surface.png");
+      case "surface": return png((await surface(signal)).picture(state.turn.yaw, state.turn.tilt, 1024), "surface.png");
       case "image": return png(observations.photo(observations.count - 1, 4096), "picture.png");
-      case "glb": return file(needed(surface(), "there are no normals yet").write("glb"), "model/gltf-binary", "surface.glb");
-      case "obj": return file(needed(surface(), "there are no normals yet").write("obj"), "model/obj", "surface.obj");
-      case "ply": return file(needed(surface(), "there are no normals yet").write("ply"), "application/octet-stream", "surface.ply");
+      case "glb": return file((await surface(signal)).write("glb"), "model/gltf-binary", "surface.glb");
+      case "obj": return file((await surface(signal)).write("obj"), "model/obj", "surface.obj");
+      case "ply": return file((await surface(signal)).write("ply"), "application/octet-stream", "surface.ply");
       case "relit": return png(needed(state.relit, "there are no normals yet").under(new Float32Array(state.sun)), "relit.png");
     }
   },
@@ -321,11 +321,16 @@ async function learn(planners, signal, progress) {
   for (const name of planners) await models.load(name, signal, progress);
 }
 
-/** The surface of what is shown, integrated when it is first asked for. */
-function surface() {
-  const { shown } = state;
-  if (!shown?.solution) return null;
-  shown.surface ??= shown.solution.surface(CLIFF);
+/** The surface of what is shown, integrated when it is first asked for. @param {AbortSignal} signal */
+async function surface(signal) {
+  const shown = needed(state.shown, "nothing is shown yet");
+  if (shown.surface) return shown.surface;
+  const solution = needed(shown.solution, "there are no normals yet");
+  const stack = needed(state.stack, "open an object first");
+  const { width, height } = stack;
+  const heights = await helpers.integrate({ mask: stack.mask(), width, height, normals: solution.normals() }, signal);
+  if (state.shown !== shown) throw new DOMException("another step is shown now", "AbortError");
+  shown.surface ??= solution.surface(heights, CLIFF);
   return shown.surface;
 }
 

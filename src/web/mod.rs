@@ -29,7 +29,7 @@ pub use render::{Capture, families, materials};
 #[cfg(feature = "render")]
 pub use serial::{Rig, SimulatedBoard};
 pub use session::Session;
-pub use stack::{Observations, Relit, Solution, Stack, Surface};
+pub use stack::{Observations, Relit, Solution, Stack, Surface, integrate_normals};
 #[cfg(feature = "render")]
 pub use studio::{Frame, FrameAverage, MaskDrawing, SessionFile, SessionFiles, fit_circle};
 pub use tiles::{Tiles, Values, solve_piece};

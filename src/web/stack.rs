@@ -70,6 +70,12 @@ impl Stack {
         self.0.stack.mask.indices().to_vec()
     }
 
+    /// The object's pixels: a byte for each pixel of the image, 1 or 0. `integrateNormals` takes it.
+    #[must_use]
+    pub fn mask(&self) -> Vec<u8> {
+        self.0.stack.mask.scatter(&vec![1; self.0.stack.mask.len()], 0)
+    }
+
     /// Light directions, three numbers for each image.
     #[must_use]
     pub fn lights(&self) -> Vec<f32> {
@@ -292,14 +298,14 @@ impl Solution {
         self.errors.as_ref().map(|e| plot::error_map(self.mask(), e, scale).map_err(fail)).transpose()
     }
 
-    /// The surface whose normals these are, left open where it breaks by more than `cliff` pixels. Takes seconds for
-    /// large objects.
-    pub fn surface(&self, cliff: f32) -> Result<Surface, JsError> {
-        let normals = &self.solution.normals;
-        let depth =
-            surface::integrate(self.mask(), normals, &Integration::default(), || false).map_err(fail)?;
-        let albedo = &self.solution.albedo;
-        Ok(Surface(surface::Surface::new(self.mask(), &depth.heights, normals, albedo, cliff)))
+    /// The surface whose normals these are, from the heights that `integrateNormals` gives for them; left open where it
+    /// breaks by more than `cliff` pixels.
+    pub fn surface(&self, heights: &[f32], cliff: f32) -> Result<Surface, JsError> {
+        let (normals, albedo) = (&self.solution.normals, &self.solution.albedo);
+        if heights.len() != normals.len() {
+            return Err(fail(format!("{} heights for {} pixels", heights.len(), normals.len())));
+        }
+        Ok(Surface(surface::Surface::new(self.mask(), heights, normals, albedo, cliff)))
     }
 
     /// The solved object, ready for any light.
@@ -309,6 +315,16 @@ impl Solution {
         let Self { solution, .. } = self;
         Relit(view::Relit::new(&stack.mask, &solution.normals, &solution.albedo, tint, tone.clone()))
     }
+}
+
+/// Heights of the object's pixels towards the camera, in pixels, from their unit normals (three numbers each). `mask` has a
+/// byte for each pixel of a `width × height` image, not 0 on the object. Takes seconds for large objects.
+#[wasm_bindgen(js_name = integrateNormals)]
+pub fn integrate_normals(mask: &[u8], width: u32, height: u32, normals: &[f32]) -> Result<Vec<f32>, JsError> {
+    let inside: Vec<bool> = mask.iter().map(|&m| m != 0).collect();
+    let mask = Mask::new(width, height, &inside).map_err(fail)?;
+    let depth = surface::integrate(&mask, &directions(normals)?, &Integration::default(), || false);
+    Ok(depth.map_err(fail)?.heights)
 }
 
 /// A solved object's surface: one vertex a pixel, x right, y up, z towards the camera, in pixels.

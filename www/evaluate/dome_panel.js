@@ -148,7 +148,7 @@ export function mountDome(root, { page, store, actions }) {
     drawStrip(steps, shown.step);
     const now = steps[shown.step - 1];
     output.textContent = now ? `Step ${shown.step} of ${steps.length}` : "No run yet";
-    caption.replaceChildren(...(now ? describe(now, shown.solver) : []));
+    caption.replaceChildren(...(now ? describe(now, shown.solver, shown.step) : []));
     scrub.setAttribute("aria-valuetext", now ? caption.textContent ?? "" : "no run yet");
   });
   store.watch(["insight"], ({ insight }) => {
@@ -206,14 +206,16 @@ function spoken(direction) {
 /**
  * @param {import("../messages.js").RunStep} taken
  * @param {string} solver
+ * @param {number} count lights so far
  * @returns {(Node | string)[]}
  */
-function describe({ step, mae }, solver) {
+function describe({ step, mae }, solver, count) {
   const parts = [html("b", {}, spoken(step.used)), step.name ? `, image ${step.name}` : ""];
   if (step.effective > 1.01) parts.push(`, blended from ${step.effective.toFixed(1)} photos`);
   if (step.deviation > 0.05) parts.push(`; asked for ${spoken(step.requested)}, ${step.deviation.toFixed(1)}° away`);
   parts.push(". ");
   const error = mae[solver];
-  parts.push(typeof error === "number" ? html("b", {}, `Mean error ${error.toFixed(2)}°.`) : "A normal needs three lights.");
+  if (typeof error === "number") parts.push(html("b", {}, `Mean error ${error.toFixed(2)}°.`));
+  else if (count < 3) parts.push("A normal needs three lights.");
   return parts;
 }

@@ -128,6 +128,7 @@ export function mountMaps(root, { page, store, actions }) {
   const hint = html("span", {}, "The normals, integrated");
   surface.hint.replaceChildren(hint, integrate);
   let wanted = false; // integrating takes up to seconds
+  let integrating = new AbortController();
   integrate.addEventListener("click", () => {
     wanted = true;
     drawSurface();
@@ -141,8 +142,12 @@ export function mountMaps(root, { page, store, actions }) {
     integrate.hidden = !whole;
     hint.textContent = view?.normals ? "The normals, integrated" : "A surface needs normals";
     if (!wanted || !whole) return surface.show(null, "");
+    integrate.hidden = true;
+    hint.textContent = "Integrating the normals…";
+    const { signal } = integrating = new AbortController();
     try {
-      surface.show(await page.engine.call("surface", { ...turn, size: SURFACE }), "drag or arrow keys turn it");
+      const picture = await page.engine.call("surface", { ...turn, size: SURFACE }, { signal, patience: 2000 });
+      if (!signal.aborted) surface.show(picture, "drag or arrow keys turn it");
     } catch (error) {
       page.problem("The surface can't be shown", error);
     }
@@ -167,7 +172,11 @@ export function mountMaps(root, { page, store, actions }) {
     const { azimuth, slant } = angles(sun);
     relit.show(picture, `light at ${azimuth.toFixed(0)}°, ${slant.toFixed(0)}°`);
   });
-  store.watch(["view"], () => drawSurface());
+  store.watch(["view"], () => {
+    integrating.abort();
+    surface.show(null, "");
+    drawSurface();
+  });
   store.watch(["scale", "catalogue"], async ({ scale, catalogue }) => {
     choice.value = String(scale);
     for (const { top } of bars) top.textContent = `${scale}°`;

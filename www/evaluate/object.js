@@ -17,9 +17,10 @@ const MESH = /\.(obj|ply|stl)$/i;
  */
 export function mountObject(root, { page, store, actions }) {
   root.innerHTML = `
-    <div>
+    <div class="what">
       <h2 id="object-title">Opening…</h2>
       <p class="facts"></p>
+      <ul class="note notes" aria-label="Notes on the files"></ul>
     </div>
     <div class="actions">
       <label class="row among" hidden><span class="label">Object</span><select></select></label>
@@ -52,6 +53,7 @@ export function mountObject(root, { page, store, actions }) {
     </form></dialog>`;
   const title = find(root, "h2", HTMLElement);
   const facts = find(root, ".facts", HTMLElement);
+  const notes = find(root, ".notes", HTMLElement);
   const among = find(root, ".among", HTMLElement);
   const choice = find(among, "select", HTMLSelectElement);
   const progress = find(root, ".progress", HTMLElement);
@@ -122,11 +124,11 @@ export function mountObject(root, { page, store, actions }) {
     const parts = [
       [String(object.images), "images"], [`${object.width}×${object.height}`, "pixels"], [object.pixels.toLocaleString("en"), "on the object"],
       [String(object.bits), "bit"], ...(stack ? [[`${stack.reach.toFixed(0)}°`, "largest slant"]] : []),
-      object.truth ? ["true normals", "known"] : ["no", "true normals: errors can't be shown"],
+      ["true normals", object.truth ? "known" : "unknown"],
     ];
     facts.replaceChildren(...parts.map(([value, what]) => html("span", {}, html("b", {}, value), ` ${what}`)));
     if (source.kind !== "files") facts.append(html("span", {}, html("b", {}, source.material), " rendered in this page"));
-    for (const note of object.notes) facts.append(html("span", {}, note));
+    notes.replaceChildren(...object.notes.map(note => html("li", {}, note)));
     among.hidden = object.objects.length < 2;
     choice.replaceChildren(...object.objects.map(name => html("option", { value: name, selected: name === object.name }, VARIANTS[name] ?? name)));
   });
