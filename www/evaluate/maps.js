@@ -143,7 +143,7 @@ export function mountMaps(root, { page, store, actions }) {
     hint.textContent = view?.normals ? "The normals, integrated" : "A surface needs normals";
     if (!wanted || !whole) return surface.show(null, "");
     integrate.hidden = true;
-    hint.textContent = "Integrating the normals…";
+    hint.textContent = "Integrating the normals: seconds for large objects";
     const { signal } = integrating = new AbortController();
     try {
       const picture = await page.engine.call("surface", { ...turn, size: SURFACE }, { signal, patience: 2000 });

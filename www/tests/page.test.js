@@ -387,6 +387,10 @@ test("the surface is integrated, turned with keys, and saved as a mesh", async (
     await canvas.focus();
     await page.keyboard.press("ArrowRight");
     await page.waitForFunction(old => /** @type {HTMLCanvasElement} */ (document.querySelector(".map-surface canvas")).toDataURL() !== old, before);
+    // Another step gives up what is being integrated, and has a surface of its own.
+    for (const step of ["4", "5", "6"]) await page.locator("#scrub").fill(step);
+    await page.waitForFunction(() => /^from 6/.test(document.querySelector(".map-normals .note")?.textContent ?? "")
+      && !(/** @type {HTMLElement} */ (document.querySelector(".map-surface canvas")).hidden));
     await page.locator("#results .menu summary").click();
     for (const [name, beginning] of [["Surface (glTF)", "glTF"], ["Surface (PLY)", "ply\n"], ["Surface (OBJ)", "# "]]) {
       if (!await page.locator("#results .menu[open]").count()) await page.locator("#results .menu summary").click();
