@@ -117,6 +117,12 @@ fn a_session_is_captured_kept_and_continued() {
         bad(2, &[&base[..7], &["--out", text(&at.join("none")), "--resume"]].concat()).contains("no session")
     );
 
+    // Five lights are the least from which an error is predicted.
+    let early = ["capture", "--size", "32", "--object", "sphere", "-t", "9", "--stop-at", "80deg", "--out"];
+    let said = good(&[&early[..], &[text(&at.join("early"))]].concat());
+    assert!(said.contains("5 lights are enough for a predicted error of at most 80°"), "{said}");
+    assert_eq!(record(&at.join("early")).shots.len(), 5);
+
     // The cable is pulled and comes back: it goes on by itself.
     let pulled = at.join("pulled");
     let args = [&base[..7], &["--out", text(&pulled), "--fault", "unplug@18"]].concat();

@@ -249,6 +249,11 @@ impl<'a> Capture<'a> {
         Ok(capture)
     }
 
+    /// Takes no further light: what there is is good enough. The LED is switched off as at the end.
+    pub fn finish(&mut self) {
+        self.session.finish();
+    }
+
     /// The session so far.
     #[must_use]
     pub fn session(&self) -> &Session<'a> {

@@ -20,7 +20,8 @@ use crate::rig::store::{self, Record, Resumed, Write};
 use crate::rig::thrifty::Thrifty;
 use crate::rig::tiff::decode_frame;
 use crate::session::Session;
-use crate::solve::{self, Solution};
+use crate::solve::uncertainty::StopAt;
+use crate::solve::{LeastSquares, Measurements, Solution};
 use crate::stack::{BitDepth, Mask};
 use crate::view;
 use glam::{DVec2, Vec3};
@@ -47,6 +48,8 @@ export interface CaptureSettings {
   size: number;
   planner: string;
   lights: number;
+  /** Takes no more lights once the predicted mean error is at most so many degrees; null: always `lights`. */
+  stop_at: number | null;
   seed: number;
   /** Largest slant that the planner may ask for, degrees. */
   reach: number;
@@ -374,6 +377,7 @@ struct Settings {
     size: u32,
     planner: String,
     lights: usize,
+    stop_at: Option<f32>,
     seed: u32,
     reach: f32,
     nearby: Option<f32>,
@@ -399,6 +403,7 @@ pub(super) struct Studio {
     pub(super) capture: Capture<'static>,
     files: Vec<Write>,
     solution: Option<Solution>,
+    stop_at: Option<StopAt>,
 }
 
 /// A mask over a part of the picture: what lies within the mask's bounds, and a margin for the eye.
@@ -494,7 +499,8 @@ impl Rig {
             }
         };
         let files = capture.opening_writes().map_err(fail)?;
-        let mut studio = Studio { simulation, capture, files, solution: None };
+        let mut studio =
+            Studio { simulation, capture, files, solution: None, stop_at: wanted.stop_at.map(StopAt::new) };
         studio.solve();
         self.studio = Some(studio);
         Ok(())
@@ -760,8 +766,11 @@ impl Studio {
     fn solve(&mut self) {
         let start = clock();
         let session = self.capture.session();
-        self.solution =
-            solve::by_name("ls").ok().and_then(|solver| session.solve(&*solver, session.seen().len()).ok());
+        self.solution = session.solve(&LeastSquares, session.seen().len()).ok();
+        let pictures = Measurements::of(session.seen());
+        if self.stop_at.is_some_and(|stop| stop.enough(&LeastSquares, &pictures)) {
+            self.capture.finish();
+        }
         self.capture.solved((clock() - start) / 1000.0);
     }
 }

@@ -267,6 +267,7 @@ export async function mount(root, page) {
       size: 96,
       planner: select(".rig-planner").value,
       lights: number(".rig-lights"),
+      stop_at: number(".rig-stop-at") > 0 ? number(".rig-stop-at") : null,
       seed: number(".rig-seed"),
       reach: number(".rig-reach"),
       nearby: number(".rig-nearby") > 0 ? number(".rig-nearby") : null,

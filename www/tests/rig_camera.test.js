@@ -215,6 +215,18 @@ test("one light at a time; dark frame; nearby lights", async () => {
   }, false);
 });
 
+test("a capture ends where the predicted error is low enough", async () => {
+  await withRig(async page => {
+    await connect(page, "simulated");
+    await state(page, /Connected/);
+    await page.locator(".rig-lights").fill("12");
+    await page.locator(".rig-stop-at").fill("80");
+    await page.locator(".rig-auto").click();
+    await page.getByText("5 of 5 lights. Done.").waitFor({ timeout: 90_000 });
+    assert.equal(await page.locator(".rig-table tbody tr").count(), 5);
+  }, false);
+});
+
 test("the rig view passes axe, wide and narrow, light and dark", async () => {
   await withRig(async page => {
     for (const [width, scheme] of /** @type {const} */ ([[1440, "light"], [390, "dark"]])) {

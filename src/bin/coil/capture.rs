@@ -15,6 +15,8 @@ use coil_ps::rig::store::{self, RECORD, Record, Write};
 use coil_ps::rig::thrifty::Thrifty;
 use coil_ps::rig::tiff::decode_frame;
 use coil_ps::session::Session;
+use coil_ps::solve::Measurements;
+use coil_ps::solve::uncertainty::StopAt;
 use coil_ps::stack::{BitDepth, Mask};
 use coil_ps::{light, planner, solve};
 use glam::Vec3;
@@ -45,6 +47,9 @@ pub struct Args {
     /// Number of lights, T.
     #[arg(short = 't', long, default_value_t = 10)]
     lights: usize,
+    /// Take no more lights once the solver predicts a mean error of at most this: 8deg.
+    #[arg(long, value_name = "DEGREES")]
+    stop_at: Option<StopAt>,
     /// Largest slant that the planner may ask for, degrees.
     #[arg(long, default_value_t = 75.0)]
     reach: f32,
@@ -572,6 +577,11 @@ fn drive(
                 let start = Instant::now();
                 let solution = capture.session().solve(&*solver, count);
                 capture.solved(start.elapsed().as_secs_f64());
+                let pictures = Measurements::of(capture.session().seen());
+                if let Some(stop) = args.stop_at.filter(|stop| stop.enough(&*solver, &pictures)) {
+                    println!("{count} lights are enough for a predicted error of at most {}°", stop.degrees);
+                    capture.finish();
+                }
                 if let Some(shot) = capture.record().shots.last() {
                     let error = match (solution, truth) {
                         (Ok(s), Some(t)) => format!("  error {:.2}°", coil_ps::error::mae(&s.normals, t)),
