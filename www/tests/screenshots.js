@@ -59,8 +59,14 @@ const STATES = {
   rig: { before: page => page.getByRole("tab", { name: "Rig" }).click().then(() => page.locator(".rig-bar").waitFor()) },
 };
 
-const wanted = process.argv.slice(2);
-if (!wanted.length) await take(join(ROOT, "docs/page.png"), { viewport: { width: 1440, height: 985 }, deviceScaleFactor: 0.8 }, { fullPage: false });
+const wanted = process.argv.slice(2); // parts of names; none: all
+if (!wanted.length || wanted.includes("docs")) await take(join(ROOT, "docs/page.png"), { viewport: { width: 1440, height: 1160 }, deviceScaleFactor: 0.8 }, {
+  fullPage: false,
+  async before(page) {
+    await page.getByRole("button", { name: "Show in 3-D" }).click();
+    await page.waitForFunction(() => document.querySelector(".map-surface canvas")?.getAttribute("width") === "360", null, { timeout: 60_000 });
+  },
+});
 for (const [name, state] of Object.entries(STATES)) {
   for (const width of [1440, 390]) {
     for (const colorScheme of /** @type {const} */ (["light", "dark"])) {
