@@ -21,7 +21,7 @@ use crate::rig::thrifty::Thrifty;
 use crate::rig::tiff::decode_frame;
 use crate::session::Session;
 use crate::solve::uncertainty::StopAt;
-use crate::solve::{LeastSquares, Measurements, Solution};
+use crate::solve::{self, Measurements, Solution, Solver};
 use crate::stack::{BitDepth, Mask};
 use crate::view;
 use glam::{DVec2, Vec3};
@@ -51,6 +51,8 @@ export interface CaptureSettings {
   /** Takes no more lights once the predicted mean error is at most so many degrees; null: always `lights`. */
   stop_at: number | null;
   seed: number;
+  /** Solver of the normals shown after every light. */
+  solver: string;
   /** Largest slant that the planner may ask for, degrees. */
   reach: number;
   /** By how much a light may be moved to save travel, degrees; null: not at all. */
@@ -136,13 +138,14 @@ impl SessionFiles {
 
     /// What the session is, or why it is none.
     #[wasm_bindgen(
-        unchecked_return_type = "{ object: string; planner: string; lights: number; taken: number; damaged: string[] }"
+        unchecked_return_type = "{ object: string; planner: string; simulated: boolean; lights: number; taken: number; damaged: string[] }"
     )]
     pub fn summary(&self) -> Result<JsValue, JsError> {
         let r = store::resume(|n| self.0.get(n).cloned()).map_err(fail)?;
         plain(&Summary {
             object: r.record.object,
             planner: r.record.planner,
+            simulated: r.record.camera.starts_with("sim "),
             lights: r.record.lights,
             taken: r.seen.len(),
             damaged: r.damaged,
@@ -154,6 +157,7 @@ impl SessionFiles {
 struct Summary {
     object: String,
     planner: String,
+    simulated: bool,
     lights: usize,
     taken: usize,
     damaged: Vec<String>,
@@ -376,6 +380,7 @@ struct Settings {
     material: String,
     size: u32,
     planner: String,
+    solver: String,
     lights: usize,
     stop_at: Option<f32>,
     seed: u32,
@@ -401,6 +406,7 @@ struct Simulation {
 pub(super) struct Studio {
     simulation: Option<Simulation>,
     pub(super) capture: Capture<'static>,
+    solver: Box<dyn Solver>,
     files: Vec<Write>,
     solution: Option<Solution>,
     stop_at: Option<StopAt>,
@@ -499,8 +505,9 @@ impl Rig {
             }
         };
         let files = capture.opening_writes().map_err(fail)?;
-        let mut studio =
-            Studio { simulation, capture, files, solution: None, stop_at: wanted.stop_at.map(StopAt::new) };
+        let solver = solve::by_name(&wanted.solver).map_err(fail)?;
+        let stop_at = wanted.stop_at.map(StopAt::new);
+        let mut studio = Studio { simulation, capture, solver, files, solution: None, stop_at };
         studio.solve();
         self.studio = Some(studio);
         Ok(())
@@ -766,9 +773,9 @@ impl Studio {
     fn solve(&mut self) {
         let start = clock();
         let session = self.capture.session();
-        self.solution = session.solve(&LeastSquares, session.seen().len()).ok();
+        self.solution = session.solve(&*self.solver, session.seen().len()).ok();
         let pictures = Measurements::of(session.seen());
-        if self.stop_at.is_some_and(|stop| stop.enough(&LeastSquares, &pictures)) {
+        if self.stop_at.is_some_and(|stop| stop.enough(&*self.solver, &pictures)) {
             self.capture.finish();
         }
         self.capture.solved((clock() - start) / 1000.0);

@@ -35,16 +35,16 @@
  * @typedef {{ kind: "threshold", level: number | null } | { kind: "polygon", corners: number[], add: boolean }
  *   | { kind: "stroke", from: [number, number], to: [number, number], radius: number, add: boolean } | { kind: "clear" }} Stroke
  *
+ * A session that is stored and not complete.
+ * @typedef {{ taken: number, lights: number, simulated: boolean }} Stored
+ *
  * What the arm does; angles in degrees.
  * @typedef {"home" | "unlock" | "hold" | "resume" | "release" | "reset" | "jogCancel"} Plain
  * @typedef {{ name: Plain } | { name: "goto" | "jog", azimuth: number, slant: number } | { name: "light", brightness: number }
  *   | { name: "raw", line: string }} Order
  *
- * @typedef {{ arm: string | null, limits: number[], session: { taken: number, lights: number } | null }} Opened
- * arm: its configuration as stored, JSON; session: the one that is stored, unfinished
- *
  * @typedef {object} Calls
- * @property {{ body: { arm: string | null }, reply: { limits: number[], session: { taken: number, lights: number } | null } }} start
+ * @property {{ body: { arm: string | null }, reply: { limits: number[], session: Stored | null } }} start
  * @property {{ body: { rig: MessagePort | null }, reply: void }} connect without a port: the simulated arm
  * @property {{ body: {}, reply: void }} disconnect
  * @property {{ body: { sent: boolean }, reply: void }} stop sent: its bytes went out already
@@ -59,6 +59,7 @@
  * @property {{ body: { points: number[] }, reply: Outline }} fitOutline
  * @property {{ body: { outline: Outline }, reply: Measured }} measure
  * @property {{ body: {}, reply: { mount: number[], before: number, after: number, count: number, arm: string } }} fit
+ * @property {{ body: {}, reply: void }} unfit the arm as it is drawn
  * @property {{ body: { azimuth: number, slant: number }, reply: Picture | null }} relight
  * @property {{ body: { folder: FileSystemDirectoryHandle | null }, reply: void }} keep also saves to that folder
  * @property {{ body: {}, reply: ArrayBuffer }} zip
@@ -77,7 +78,7 @@
  *   error: number | null, notes: string[] }} Taken
  *
  * @typedef {{ type: "expose", number: number, index: number, milliseconds: number, count: number }} Expose
- * @typedef {{ type: "ended", done: boolean, session: { taken: number, lights: number } | null }} Ended
+ * @typedef {{ type: "ended", done: boolean, session: Stored | null }} Ended
  * @typedef {{ type: "help", text: string }} Help
  * @typedef {{ type: "problem", message: string }} Problem
  * @typedef {State | Taken | Expose | Ended | Help | Problem} Told

@@ -62,6 +62,8 @@ export async function mount(root, page) {
   /** Files that were chosen and wait for their exposure. @type {File[]} */
   let given = [];
   let gave = () => {};
+  /** @type {import("./messages.js").Stored | null} */
+  let stored = null;
   /** @type {string[]} */
   const log = [];
 
@@ -151,7 +153,7 @@ export async function mount(root, page) {
     $(".rig-table").replaceChildren(html("table", {},
       html("thead", {}, html("tr", {}, ...head.map(t => html("th", { scope: "col" }, t)))),
       html("tbody", {}, ...rows.map(row => html("tr", {}, ...row.map(t => html("td", {}, t)))))));
-    $(".rig-fit").hidden = !measured;
+    $(".rig-fit").hidden = !measured && !localStorage.getItem(ARM_KEY);
     $(".rig-notes").replaceChildren(...told.notes.slice(-6).map(note => html("li", {}, note)));
     const mean = (/** @type {"plan" | "move" | "settle" | "expose" | "merge" | "solve"} */ key) => Math.round(1000 * lights.reduce((sum, l) => sum + l[key], 0) / lights.length);
     $(".rig-budget").textContent = lights.length
@@ -160,8 +162,9 @@ export async function mount(root, page) {
     if (state) plot?.update({ light: state.shown.direction, target: state.target, done: lights });
   }
 
-  /** @param {{ taken: number, lights: number } | null} session */
+  /** @param {import("./messages.js").Stored | null} session */
   function offer(session) {
+    stored = session;
     const again = button(".rig-continue");
     again.hidden = !session;
     if (session) again.textContent = `Continue (${session.taken} of ${session.lights} lights)`;
@@ -266,6 +269,7 @@ export async function mount(root, page) {
       material: "lambert:0.8",
       size: 96,
       planner: select(".rig-planner").value,
+      solver: select(".rig-solver").value,
       lights: number(".rig-lights"),
       stop_at: number(".rig-stop-at") > 0 ? number(".rig-stop-at") : null,
       seed: number(".rig-seed"),
@@ -282,14 +286,17 @@ export async function mount(root, page) {
     };
   }
 
-  /** @param {"auto" | "one"} mode @param {boolean} stored */
-  async function begin(mode, stored) {
+  /** @param {"auto" | "one"} mode @param {boolean} again whether the stored session goes on */
+  async function begin(mode, again) {
     say("");
     try {
-      if (!stored && input(".rig-mirror").checked && select(".rig-camera").value !== "sim" && !mask.outline) {
+      if (again && stored && !stored.simulated && select(".rig-camera").value === "sim") {
+        throw new Error("This session was taken with a camera: choose it first, then continue.");
+      }
+      if (!again && input(".rig-mirror").checked && select(".rig-camera").value !== "sim" && !mask.outline) {
         throw new Error("Mark the mirror sphere first, or untick it.");
       }
-      await client.call("begin", { mode, settings: settings(), camera: camera(), stored });
+      await client.call("begin", { mode, settings: settings(), camera: camera(), stored: again });
     } catch (error) {
       failed(error);
     }
@@ -458,6 +465,11 @@ export async function mount(root, page) {
       $(".rig-fitted").textContent = /** @type {Error} */ (error).message;
     }
   });
+  on(".rig-unfit", async () => {
+    localStorage.removeItem(ARM_KEY);
+    await client.call("unfit", {});
+    $(".rig-fitted").textContent = "The arm is taken to stand as it is drawn.";
+  });
   on(".rig-folder", async () => {
     try {
       const folder = await chooseFolder("readwrite", "rig-session");
@@ -480,10 +492,15 @@ export async function mount(root, page) {
 
   if (serial()) portWorker = new Worker(new URL("port-worker.js", import.meta.url), { type: "module", name: "coil-ps-port" });
   const { limits, session } = await client.call("start", { arm: localStorage.getItem(ARM_KEY) });
+  if (localStorage.getItem(ARM_KEY)) {
+    $(".rig-fit").hidden = false;
+    $(".rig-fitted").textContent = "The arm goes by the fit of an earlier session.";
+  }
   plot = new Plot(limits);
   $(".rig-dome").append(plot.element);
   const catalogue = await page.engine.call("catalogue", {});
   select(".rig-planner").replaceChildren(...catalogue.planners.filter(p => !p.oracle).map(p => html("option", { value: p.name, selected: p.name === "tk22" }, p.label)));
+  select(".rig-solver").replaceChildren(...catalogue.solvers.filter(s => s.name !== "pixel").map(s => html("option", { value: s.name, selected: s.name === "trimmed", title: s.about }, s.name)));
   await listPorts();
   offer(session);
 }

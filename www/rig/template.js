@@ -37,7 +37,7 @@ export const TEMPLATE = `
       <div class="rig-real" hidden>
         <div class="row"><button type="button" class="button rig-look">Take a picture</button><label><input type="checkbox" class="rig-mirror"> mirror sphere beside the object</label><label>Name <input type="text" class="rig-name" value="object" size="12"></label></div>
       </div>
-      <div class="row"><label>Planner <select class="rig-planner"></select></label><label>Lights <input type="number" class="rig-lights" value="10" min="3" max="100"></label><label>Seed <input type="number" class="rig-seed" value="1" min="0"></label></div>
+      <div class="row"><label>Planner <select class="rig-planner"></select></label><label>Lights <input type="number" class="rig-lights" value="10" min="3" max="100"></label><label>Solver <select class="rig-solver"></select></label><label>Seed <input type="number" class="rig-seed" value="1" min="0"></label></div>
       <div class="row"><label>Stop at predicted error below, ° <input type="number" class="rig-stop-at" min="0.1" max="89" step="any" placeholder="never"></label></div>
       <details class="rig-more"><summary>Exposure and travel</summary>
         <div class="row"><label>Exposures, ms <input type="text" class="rig-exposures" value="1, 3.2, 10" size="12"></label><label>settle, s <input type="number" class="rig-settle" value="0.3" min="0" max="30" step="0.1"></label><label>LED <input type="number" class="rig-brightness" value="800" min="1" max="100000"></label></div>
@@ -54,7 +54,7 @@ export const TEMPLATE = `
       <div class="rig-maps"><figure><canvas class="rig-photo" width="8" height="8"></canvas><figcaption>Last image</figcaption></figure><figure><canvas class="rig-normals" width="8" height="8"></canvas><figcaption class="rig-error">Normals</figcaption></figure><figure><canvas class="rig-relit" width="8" height="8"></canvas><figcaption>Relit</figcaption></figure></div>
       <div class="row rig-relight"><label>Light azimuth <input type="range" class="rig-rel-az" min="-180" max="180" value="40"></label><label>slant <input type="range" class="rig-rel-sl" min="0" max="85" value="45"></label></div>
       <p class="rig-budget note"></p>
-      <div class="rig-fit" hidden><div class="row"><button type="button" class="button small rig-fit-arm">Fit how the arm stands</button></div><p class="rig-fitted note" role="status">Measured by the mirror sphere: these directions go into the normals.</p></div>
+      <div class="rig-fit" hidden><div class="row"><button type="button" class="button small rig-fit-arm">Fit how the arm stands</button><button type="button" class="button small rig-unfit">Forget the fit</button></div><p class="rig-fitted note" role="status">Measured by the mirror sphere: these directions go into the normals.</p></div>
       <div class="rig-table" tabindex="0" role="region" aria-label="Lights taken"></div>
       <ul class="rig-notes note"></ul>
     </section>

@@ -111,8 +111,8 @@ function tellTaken() {
 
 async function storedSession() {
   try {
-    const { taken, lights } = (await read(await ownFolder(), new lib.SessionFiles())).summary();
-    return taken < lights ? { taken, lights } : null;
+    const { taken, lights, simulated } = (await read(await ownFolder(), new lib.SessionFiles())).summary();
+    return taken < lights ? { taken, lights, simulated } : null;
   } catch {
     return null; // there is none
   }
@@ -519,6 +519,10 @@ const answers = {
   fit() {
     const [azimuth, slant, x, y, before, after, count] = rig.fitMount();
     return { mount: [azimuth, slant, x, y], before, after, count, arm: rig.armConfig() };
+  },
+
+  unfit() {
+    rig.configureArm("{}");
   },
 
   relight(light) {

@@ -23,6 +23,7 @@ test("the mirror sphere's directions are shown, used, and the arm is fitted to t
     assert.equal(await page.locator(".rig-measured-mark").count(), 4);
     await page.getByRole("button", { name: "Fit how the arm stands" }).click();
     await page.getByText(/azimuth [34]\.\d+°, slant -[12]\.\d+°.*Largest deviation of 4 directions: [3-6]\.\d+° before, 0\.\d+° after/).waitFor();
+    await page.getByText(/Normals, error \d/).waitFor();
     // The next capture goes by it, also after a reload.
     await page.reload();
     await page.getByRole("tab", { name: "Rig" }).click();
@@ -35,6 +36,9 @@ test("the mirror sphere's directions are shown, used, and the arm is fitted to t
     await page.locator(".rig-next").click();
     await page.locator(".rig-table tbody tr").first().waitFor({ timeout: 60_000 });
     assert.match(await page.locator(".rig-table tbody tr").first().innerText(), /0\.\d° off ±0\.\d°/);
+    await page.getByRole("button", { name: "Forget the fit" }).click();
+    await page.getByText("The arm is taken to stand as it is drawn.").waitFor();
+    assert.equal(await page.evaluate(() => localStorage.getItem("coil-ps.arm")), null);
   }, false);
 });
 

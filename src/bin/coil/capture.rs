@@ -60,7 +60,7 @@ pub struct Args {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Solver of the normals shown after every light.
-    #[arg(long, default_value = "ls")]
+    #[arg(long, default_value = "trimmed")]
     solver: String,
     /// Exposure bracket, milliseconds.
     #[arg(long, value_delimiter = ',', default_value = "1,3.2,10")]
