@@ -91,7 +91,18 @@ impl Scene {
     /// Linear RGB of every mask pixel under a unit direction; a white Lambertian patch facing the light is 1.
     #[must_use]
     pub fn render(&self, light: Vec3) -> Vec<[f32; 3]> {
-        self.image(V3::<f32>::of(light))
+        let shadow = Shadow::new(self, V3::<f32>::of(light));
+        self.image(V3::<f32>::of(light), |p| shadow.visibility(p))
+    }
+
+    /// [`Scene::render`] with cast shadows from elsewhere, as the exact ones of [`super::Tracer::visibility`]: whether each
+    /// mask pixel sees the light.
+    ///
+    /// # Panics
+    /// If `visible` has fewer entries than the mask has pixels.
+    #[must_use]
+    pub fn render_with_shadows(&self, light: Vec3, visible: &[bool]) -> Vec<[f32; 3]> {
+        self.image(V3::<f32>::of(light), |p| f32::from(u8::from(visible[p])))
     }
 
     /// [`Scene::render`] with the gradient of each value by the light direction's three components.
@@ -99,7 +110,9 @@ impl Scene {
     /// At hard shadow boundaries (softness 0) the gradient of the shadow is left out.
     #[must_use]
     pub fn render_with_gradient(&self, light: Vec3) -> Vec<[Dual; 3]> {
-        self.image(Dual::inputs(light))
+        let light = Dual::inputs(light);
+        let shadow = Shadow::new(self, light);
+        self.image(light, |p| shadow.visibility(p))
     }
 
     /// Share of the light that reaches every mask pixel past the other parts of the object, 0..1. Attached
@@ -110,16 +123,16 @@ impl Scene {
         (0..self.view.mask.len()).map(|p| shadow.visibility(p)).collect()
     }
 
-    fn image<R: Real>(&self, light: V3<R>) -> Vec<[R; 3]> {
+    /// The picture, where `visibility(p)` is the share of the light that cast shadows leave to pixel p.
+    fn image<R: Real>(&self, light: V3<R>, visibility: impl Fn(usize) -> R) -> Vec<[R; 3]> {
         let direction = light.value();
-        let shadow = Shadow::new(self, light);
         let directions = Directions::new(light, Vec3::Z);
         let lits: Vec<Lit<R>> = self.skin.materials.iter().map(|m| m.lit(&directions)).collect();
         let black = [R::of(0.0); 3];
         let mut irradiance = Vec::new();
         let mut image = Vec::with_capacity(self.view.mask.len());
         for (p, &n) in self.view.normals.iter().enumerate() {
-            let seen = if n.dot(direction) > 0.0 { shadow.visibility(p) } else { R::of(0.0) };
+            let seen = if n.dot(direction) > 0.0 { visibility(p) } else { R::of(0.0) };
             if self.exchange.is_some() {
                 irradiance.push(light.dot(n).max(R::of(0.0)) * seen);
             }
