@@ -32,6 +32,9 @@ pub struct Config {
     pub max_frames: usize,
     /// Outlier-aware gating; without it F̃ = F_img (an ablation of the paper).
     pub gating: bool,
+    /// A learned direction for each step, to which the decoder adds what it sees. Not in the paper, whose network must learn to
+    /// tell its steps apart from the positional encoding alone.
+    pub base: bool,
     /// Causal transformer and positional encoding; without them each frame stands alone (the other ablation).
     pub transformer: bool,
 }
@@ -53,6 +56,7 @@ impl Config {
             head_hidden: 32,
             max_frames: 32,
             gating: true,
+            base: false,
             transformer: true,
         }
     }
@@ -71,6 +75,7 @@ impl Config {
             heads: 4,
             feed_forward: 256,
             light_hidden: 8,
+            base: true,
             ..Self::paper()
         }
     }

@@ -8,6 +8,9 @@ use glam::Vec3;
 use std::f32::consts::FRAC_PI_2;
 use tract_onnx::prelude::*;
 
+/// As a fraction of 90°.
+const SMALLEST_REACH: f32 = 1e-3;
+
 type Plan = Arc<TypedRunnableModel>;
 
 /// A loaded policy.
@@ -61,7 +64,7 @@ impl Policy {
             policy: self.clone(),
             crop: Crop::new(mask, config.input),
             pixels: mask.len(),
-            reach: (reach / FRAC_PI_2).clamp(0.0, 1.0),
+            reach: (reach / FRAC_PI_2).clamp(SMALLEST_REACH, 1.0),
             white: None,
             position: 0,
             keys: vec![0.0; cache],
@@ -148,6 +151,9 @@ impl Sequence {
             Some(gate) => Some(floats(gate)?),
             None => None,
         };
+        if config.transformer || config.base {
+            inputs.push(Tensor::from_shape(&[1], &[self.position as i64])?.into());
+        }
         if config.transformer {
             let shape = [
                 config.layers,
@@ -155,7 +161,6 @@ impl Sequence {
                 config.max_frames,
                 config.width / config.heads,
             ];
-            inputs.push(Tensor::from_shape(&[1], &[self.position as i64])?.into());
             inputs.push(Tensor::from_shape(&shape, &self.keys)?.into());
             inputs.push(Tensor::from_shape(&shape, &self.values)?.into());
         }

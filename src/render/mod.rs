@@ -14,6 +14,7 @@ pub mod real;
 pub mod scene;
 pub mod sculpture;
 pub mod sensor;
+pub mod tolerance;
 pub mod trace;
 pub mod view;
 pub mod worlds;
@@ -26,6 +27,7 @@ pub use mesh::Mesh;
 pub use scene::{Buffers, Options, Scene, SceneCamera};
 pub use sculpture::Sculpture;
 pub use sensor::{Sensor, stack};
+pub use tolerance::{Errors, Tolerances};
 pub use trace::Tracer;
 pub use view::{Pose, Shape, View};
 

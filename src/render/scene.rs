@@ -5,6 +5,7 @@ use super::finish::{Finish, Skin};
 use super::horizon::{Exchange, Horizon};
 use super::material::{Directions, Lit, Material};
 use super::real::{Dual, Real, V3};
+use super::tolerance::{Errors, Tolerances};
 use super::view::{Pose, Shape, View};
 use crate::camera::{Camera, CameraError, Observation, check_direction};
 use crate::stack::Mask;
@@ -259,13 +260,20 @@ impl<'a, R: Real> Shadow<'a, R> {
 #[derive(Clone, Copy, Debug)]
 pub struct SceneCamera<'a> {
     scene: &'a Scene,
+    errors: Option<Errors>,
 }
 
 impl<'a> SceneCamera<'a> {
-    /// A camera that sees `scene`.
+    /// A camera without noise that sees `scene`, under a light that is exactly where it is said to be.
     #[must_use]
     pub fn new(scene: &'a Scene) -> Self {
-        Self { scene }
+        Self { scene, errors: None }
+    }
+
+    /// A real rig's camera: with errors within `tolerances`, drawn from `seed`.
+    #[must_use]
+    pub fn real(scene: &'a Scene, tolerances: Tolerances, seed: u64) -> Self {
+        Self { scene, errors: Some(Errors::new(scene, tolerances, seed)) }
     }
 }
 
@@ -276,7 +284,10 @@ impl Camera for SceneCamera<'_> {
 
     fn capture(&self, direction: Vec3, _: &[Observation]) -> Result<Observation, CameraError> {
         check_direction(direction)?;
-        let rgb = self.scene.render(direction);
+        let mut rgb = self.scene.render(self.errors.map_or(direction, |e| e.light(direction)));
+        if let Some(errors) = self.errors {
+            errors.expose(direction, &mut rgb);
+        }
         let grey = rgb.iter().map(|[r, g, b]| (r + g + b) / 3.0).collect();
         Ok(Observation {
             requested: direction,

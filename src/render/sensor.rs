@@ -39,16 +39,28 @@ impl Sensor {
                 rgb.map(|v| {
                     let mut share = v / white;
                     if noisy {
-                        let electrons = share.max(0.0) * self.full_well;
-                        // Shot noise is Poisson; from ten electrons on a normal distribution is as good.
-                        let sigma = (electrons + self.read_noise * self.read_noise).sqrt();
-                        share += rng.normal() * sigma / self.full_well;
+                        share += rng.normal() * self.deviation(share);
                     }
                     let code = (share.clamp(0.0, 1.0) * top + 0.5).floor();
                     (code * (65535.0 / top) + 0.5).floor() as u16
                 })
             })
             .collect()
+    }
+
+    /// A linear value as it comes out of merged exposures (HDR), of which the longest saturates at `white`: with the sensor's
+    /// noise, neither cut off nor rounded.
+    #[must_use]
+    pub fn merged(&self, linear: f32, white: f32, rng: &mut Rng) -> f32 {
+        let deviation = self.deviation(linear / white);
+        (linear + deviation * white * rng.normal()).max(0.0)
+    }
+
+    /// Standard deviation of a value, both as shares of full scale. Shot noise is Poisson; from ten electrons on a normal
+    /// distribution is as good.
+    fn deviation(&self, share: f32) -> f32 {
+        let electrons = share.max(0.0) * self.full_well;
+        (electrons + self.read_noise * self.read_noise).sqrt() / self.full_well
     }
 
     /// One exposure for each value of `whites` (from short to long: from large to small): an HDR bracket.
@@ -62,11 +74,18 @@ impl Sensor {
 /// is set by.
 #[must_use]
 pub fn white_level(scene: &Scene, share: f32) -> f32 {
-    let mut values: Vec<f32> = crate::light::fibonacci_hemisphere(24)
-        .into_iter()
-        .flat_map(|l| scene.render(l))
-        .map(|[r, g, b]| r.max(g).max(b))
-        .collect();
+    level(scene, &crate::light::fibonacci_hemisphere(24), share)
+}
+
+/// The value below which lie 99 % of a scene's values under frontal light.
+#[must_use]
+pub fn frontal_white(scene: &Scene) -> f32 {
+    level(scene, &[Vec3::Z], 0.01)
+}
+
+fn level(scene: &Scene, lights: &[Vec3], share: f32) -> f32 {
+    let mut values: Vec<f32> =
+        lights.iter().flat_map(|&l| scene.render(l)).map(|[r, g, b]| r.max(g).max(b)).collect();
     let rank = ((values.len() as f32 * (1.0 - share)) as usize).min(values.len() - 1);
     let (_, value, _) = values.select_nth_unstable_by(rank, f32::total_cmp);
     value.max(1e-6)
@@ -75,11 +94,11 @@ pub fn white_level(scene: &Scene, share: f32) -> f32 {
 /// Share of the values that a stack's exposure lets saturate: highlights are hundreds of times as bright as the rest.
 pub const SATURATED: f32 = 0.002;
 
-/// Image `k` of the stack of a scene under `light`. Depends on nothing but its arguments, so that the caller can make images
-/// in parallel.
+/// Image `k` of a stack, from its linear values. Depends on nothing but its arguments, so that the caller can make images in
+/// parallel.
 #[must_use]
-pub fn photo(scene: &Scene, light: Vec3, white: f32, sensor: &Sensor, seed: u64, k: usize) -> Vec<[u16; 3]> {
-    sensor.expose(&scene.render(light), white, &mut Rng::stream(seed, k as u64))
+pub fn photo(linear: &[[f32; 3]], white: f32, sensor: &Sensor, seed: u64, k: usize) -> Vec<[u16; 3]> {
+    sensor.expose(linear, white, &mut Rng::stream(seed, k as u64))
 }
 
 /// The stack of a scene under `lights`, as a rig would store it: 16-bit code values, all at one exposure.
@@ -88,7 +107,8 @@ pub fn photo(scene: &Scene, light: Vec3, white: f32, sensor: &Sensor, seed: u64,
 #[must_use]
 pub fn stack(scene: &Scene, lights: &[Vec3], sensor: &Sensor, seed: u64) -> RawStack {
     let white = white_level(scene, SATURATED);
-    let images = lights.iter().enumerate().map(|(k, &l)| photo(scene, l, white, sensor, seed, k)).collect();
+    let images =
+        lights.iter().enumerate().map(|(k, &l)| photo(&scene.render(l), white, sensor, seed, k)).collect();
     assemble(scene, lights, white, images)
 }
 

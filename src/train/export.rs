@@ -7,6 +7,7 @@ use super::tape::{LENGTH_EPSILON, NORM_EPSILON};
 use super::weights::Weights;
 use crate::policy::config::FORMAT;
 use crate::policy::file::{self, ModelFiles};
+use std::f32::consts::FRAC_2_PI;
 
 /// The two files of a network, weight norm folded.
 ///
@@ -33,6 +34,9 @@ pub fn export(weights: &Weights, note: &str) -> ModelFiles {
     let features = o.graph.input("features", &[1, c, g, g]);
     o.light = Some(o.graph.input("light", &[1, 3]));
     o.reach = Some(o.graph.input("reach", &[1, 1]));
+    if config.transformer || config.base {
+        o.position = Some(o.graph.input_int("position", &[1]));
+    }
     if config.transformer {
         let cache = [
             config.layers,
@@ -40,7 +44,6 @@ pub fn export(weights: &Weights, note: &str) -> ModelFiles {
             config.max_frames,
             config.width / config.heads,
         ];
-        o.position = Some(o.graph.input_int("position", &[1]));
         o.keys = Some(o.graph.input("keys", &cache));
         o.values = Some(o.graph.input("values", &cache));
     }
@@ -141,6 +144,12 @@ impl<'a> Exporter<'a> {
     fn row_sum(&mut self, x: &Value) -> Value {
         let axes = self.graph.integers("int[1]", &[1]);
         self.graph.node("ReduceSum", &[x, &axes], &[("keepdims", Attribute::Int(1))], &[x.dims[0], 1])
+    }
+
+    /// x⁴.
+    fn fourth(&mut self, x: &Value) -> Value {
+        let squared = self.binary("Mul", x, x);
+        self.binary("Mul", &squared, &squared)
     }
 
     /// √(Σ x² + ε) of each row.
@@ -346,6 +355,13 @@ impl Ops for Exporter<'_> {
         self.graph.concat(&[&light, &reach], 1)
     }
 
+    fn add_base(&mut self, x: Value) -> Value {
+        let table = self.param("head.base");
+        let position = self.position.clone().expect("set by export");
+        let row = self.graph.node("Gather", &[&table, &position], &[("axis", Attribute::Int(0))], &[1, 3]);
+        self.binary("Add", &x, &row)
+    }
+
     fn direction(&mut self, x: Value) -> Value {
         let reach = self.reach.clone().expect("set by export");
         let xy = self.graph.slice(&x, 1, 0, 2);
@@ -364,7 +380,17 @@ impl Ops for Exporter<'_> {
         let half = self.unary("Atan", &tangent);
         let two = self.scalar(2.0);
         let slant = self.binary("Mul", &half, &two);
-        let slant = self.binary("Mul", &slant, &reach);
+        let tightness = self.unary("Reciprocal", &reach);
+        let tightness = self.fourth(&tightness);
+        let tightness = self.binary("Sub", &tightness, &one);
+        let share = self.scalar(FRAC_2_PI);
+        let fourth = self.binary("Mul", &slant, &share);
+        let fourth = self.fourth(&fourth);
+        let bend = self.binary("Mul", &tightness, &fourth);
+        let bend = self.binary("Add", &bend, &one);
+        let bend = self.unary("Sqrt", &bend);
+        let bend = self.unary("Sqrt", &bend);
+        let slant = self.binary("Div", &slant, &bend);
         let sine = self.unary("Sin", &slant);
         let cosine = self.unary("Cos", &slant);
         let share = self.binary("Div", &sine, &radius);

@@ -66,7 +66,11 @@ pub trait Ops {
     fn attend(&mut self, layer: usize, qkv: Self::Rows) -> Self::Rows;
     /// Light direction and reach (as a fraction of 90°) side by side: `[batch, 4]`.
     fn light(&mut self) -> Self::Rows;
-    /// `|z| + 1e-8` in the third component, unit length, then slant scaled by the reach.
+    /// Adds the learned direction of the current step.
+    fn add_base(&mut self, x: Self::Rows) -> Self::Rows;
+    /// `|z| + 1e-8` in the third component, unit length, then mapped into the reach: slant s becomes
+    /// `s·(1 + (r⁻⁴ − 1)(s/90°)⁴)^(−1/4)` with r the reach as a fraction of 90°. That is s where s is well within the reach, the
+    /// reach at 90°, and s everywhere where the reach is 90°.
     fn direction(&mut self, x: Self::Rows) -> Self::Rows;
 }
 
@@ -106,7 +110,10 @@ pub fn next_direction<O: Ops>(o: &mut O, config: &Config, gated: O::Map) -> O::R
     let x = o.flat(sum);
     let x = o.linear("head.0", x);
     let x = o.relu_rows(x);
-    let x = o.linear("head.1", x);
+    let mut x = o.linear("head.1", x);
+    if config.base {
+        x = o.add_base(x);
+    }
     o.direction(x)
 }
 

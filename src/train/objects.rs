@@ -1,66 +1,51 @@
-//! The renderer's worlds as training and validation objects, seen by a camera with noise.
+//! The renderer's worlds as training and validation objects, as a rig sees them.
 
 use super::fit::Pool;
 use super::formation::Scene;
 use super::formation::Shading;
-use crate::policy::frame::white;
-use crate::render::{self, Options, Pose, View, horizon::Horizon, worlds};
+use crate::render::{
+    self, Errors, Options, Pose, Tolerances, View,
+    horizon::{Exchange, Horizon},
+    worlds,
+};
 use crate::rng::Rng;
 use crate::stack::Mask;
 use glam::Vec3;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
-/// Read noise of the camera: standard deviation as a share of white (the 99 % quantile of the frontal picture).
-pub const READ_NOISE: f32 = 0.003;
-/// Shot noise at white, as a share of white; it grows with the square root of the value.
-pub const SHOT_NOISE: f32 = 0.01;
 /// Seed of the training and validation objects.
 const SEED: u64 = 1;
 
-/// A scene seen by a camera with noise: the same picture under the same direction, other noise under any other. Without
-/// noise, lights side by side would measure normals as well as lights far apart.
-pub struct Noisy<S> {
-    scene: S,
-    seed: u64,
-    white: f32,
+/// A scene as a real rig sees it.
+struct Real {
+    scene: render::Scene,
+    errors: Errors,
 }
 
-impl<S: Scene> Noisy<S> {
-    /// `scene` with noise drawn from `seed`.
-    #[must_use]
-    pub fn new(scene: S, seed: u64) -> Self {
-        let white = white(&scene.image(Vec3::Z));
-        Self { scene, seed, white }
-    }
-
-    fn disturb(&self, light: Vec3, rgb: &mut [[f32; 3]]) {
-        let bits = light.to_array().map(|v| u64::from(v.to_bits()));
-        let mut rng = Rng::stream(self.seed, bits[0] ^ (bits[1] << 21) ^ (bits[2] << 42));
-        let read = READ_NOISE * self.white;
-        let shot = SHOT_NOISE * SHOT_NOISE * self.white;
-        for value in rgb.as_flattened_mut() {
-            let deviation = (read * read + shot * *value).sqrt();
-            *value = (*value + deviation * rng.normal()).max(0.0);
-        }
+impl Real {
+    fn new(scene: render::Scene, seed: u64) -> Self {
+        let errors = Errors::new(&scene, Tolerances::RIG, seed);
+        Self { scene, errors }
     }
 }
 
-impl<S: Scene> Scene for Noisy<S> {
+impl Scene for Real {
     fn mask(&self) -> &Mask {
-        self.scene.mask()
+        &self.scene.view.mask
     }
     fn truth(&self) -> &[Vec3] {
         self.scene.truth()
     }
     fn image(&self, light: Vec3) -> Vec<[f32; 3]> {
-        let mut rgb = self.scene.image(light);
-        self.disturb(light, &mut rgb);
+        let mut rgb = self.scene.render(self.errors.light(light));
+        self.errors.expose(light, &mut rgb);
         rgb
     }
+    /// Errors move with the light: the gradient is that of the picture without them.
     fn image_with_gradient(&self, light: Vec3) -> Shading {
-        let (mut rgb, gradient) = self.scene.image_with_gradient(light);
-        self.disturb(light, &mut rgb);
+        let (mut rgb, gradient) = Scene::image_with_gradient(&self.scene, self.errors.light(light));
+        self.errors.expose(light, &mut rgb);
         (rgb, gradient)
     }
 }
@@ -70,6 +55,7 @@ struct Bare {
     pose: Pose,
     view: View,
     horizon: Horizon,
+    exchange: Exchange,
 }
 
 /// The training objects of `worlds`, made when first drawn and kept; each draw gets a finish of its own.
@@ -81,6 +67,8 @@ pub struct Training {
 
 /// Azimuths of the training objects' horizon maps: what soft shadows need, in half the memory of the test's.
 const AZIMUTHS: usize = 32;
+/// Azimuths and levels of their form factors, as coarse.
+const EXCHANGE: (usize, usize) = (12, 1);
 
 impl Training {
     /// Objects in pictures of `size × size` pixels with shadow boundaries of this softness.
@@ -98,7 +86,9 @@ impl Training {
         let pose = Pose::fit(&object.shape, object.rotation).expect("a sculpture can be seen");
         let view = View::new(&object.shape, &pose, self.size).expect("a sculpture can be seen");
         let horizon = Horizon::new(&view, AZIMUTHS);
-        let bare = Arc::new(Bare { pose, view, horizon });
+        let (azimuths, levels) = EXCHANGE;
+        let exchange = Exchange::new(&view, azimuths, levels);
+        let bare = Arc::new(Bare { pose, view, horizon, exchange });
         self.made.lock().expect("no thread panicked").insert(index, bare.clone());
         bare
     }
@@ -114,12 +104,12 @@ impl Pool for Training {
             pose: bare.pose,
             view: bare.view.clone(),
             horizon: bare.horizon.clone(),
-            exchange: None,
+            exchange: Some(bare.exchange.clone()),
             skin,
             softness: self.softness,
-            bounces: 0,
+            bounces: 1,
         };
-        Box::new(Noisy::new(scene, rng.next_u64()))
+        Box::new(Real::new(scene, rng.next_u64()))
     }
 }
 
@@ -130,7 +120,7 @@ pub fn validation(count: usize, size: u32) -> Vec<Box<dyn Scene>> {
     (0..count)
         .map(|i| {
             let scene = worlds::validation(SEED, i).scene(&options).expect("a sculpture can be seen");
-            Box::new(Noisy::new(scene, i as u64)) as Box<dyn Scene>
+            Box::new(Real::new(scene, i as u64)) as Box<dyn Scene>
         })
         .collect()
 }
@@ -138,22 +128,6 @@ pub fn validation(count: usize, size: u32) -> Vec<Box<dyn Scene>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn noise_repeats_for_a_direction_and_differs_between_directions() {
-        let scenes = validation(1, 24);
-        let (a, b) = (scenes[0].image(Vec3::Z), scenes[0].image(Vec3::Z));
-        assert_eq!(a, b);
-        let clean = worlds::validation(SEED, 0).scene(&Options { size: 24, ..Options::default() }).unwrap();
-        let white = white(&clean.render(Vec3::Z));
-        let noise = |l: Vec3| -> Vec<f32> {
-            scenes[0].image(l).iter().zip(clean.render(l)).map(|(n, c)| (n[0] - c[0]) / white).collect()
-        };
-        let (first, other) = (noise(Vec3::Z), noise(crate::light::from_azimuth_slant(0.3, 0.01)));
-        let deviation = |n: &[f32]| (n.iter().map(|v| v * v).sum::<f32>() / n.len() as f32).sqrt();
-        assert!((0.002..0.02).contains(&deviation(&first)), "{}", deviation(&first));
-        assert_ne!(first, other);
-    }
 
     #[test]
     fn the_pool_repeats_itself() {

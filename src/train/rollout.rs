@@ -30,6 +30,8 @@ pub struct Conditions {
     pub lights: usize,
     /// Share of the gradient through what the policy sees; see [`super::fit::Recipe::feedback`].
     pub feedback: f32,
+    /// Largest length of dLoss/d(direction) of one picture; see [`super::fit::Recipe::steepest`].
+    pub steepest: f32,
     /// Whether the policy sees black frames only: what it can then learn is one fixed set of lights.
     pub blank: bool,
 }
@@ -45,10 +47,6 @@ pub struct Pass {
     /// Directions asked for, object by object.
     pub directions: Vec<Vec<Vec3>>,
 }
-
-/// Largest length of dLoss/d(direction) of one picture: a mirror-like highlight that sweeps over a pixel must not drown
-/// the rest of the batch.
-const STEEPEST: f32 = 0.5;
 
 /// Captures `episodes` as one batch and differentiates their mean loss.
 #[must_use]
@@ -88,7 +86,7 @@ pub fn differentiate(
             for (gradient, &by_grey) in shot.gradient.iter().zip(&loss.grey[t]) {
                 slope += (gradient[0] + gradient[1] + gradient[2]) * (by_grey / 3.0);
             }
-            let slope = slope.clamp_length_max(STEEPEST) * share as f32;
+            let slope = slope.clamp_length_max(how.steepest) * share as f32;
             slopes[t][3 * b..3 * b + 3].copy_from_slice(&slope.to_array());
         }
     }
@@ -246,12 +244,13 @@ impl<'a> Run<'a> {
             false => tensor(frames, [batch, 3, s, s], device),
         };
         let mut lights = tensor(lights, [batch, 3], device);
-        let tracked = self.tracks.iter().any(|t| !t.shots[newest].gradient.is_empty());
+        let tracked =
+            self.how.feedback > 0.0 && self.tracks.iter().any(|t| !t.shots[newest].gradient.is_empty());
         if tracked {
             let step = direction.clone() - direction.clone().detach();
             for (axis, (slope, by)) in slopes.into_iter().zip(by_light).enumerate() {
                 let step = step.clone().narrow(1, axis, 1);
-                lights = lights + tensor(by, [batch, 3], device) * step.clone();
+                lights = lights + tensor(by, [batch, 3], device) * step.clone().mul_scalar(self.how.feedback);
                 if !self.how.blank {
                     frames =
                         frames + tensor(slope, [batch, 3, s, s], device) * step.reshape([batch, 1, 1, 1]);

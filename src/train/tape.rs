@@ -8,6 +8,7 @@ use burn::tensor::module::{conv_transpose2d, conv2d, linear, max_pool2d};
 use burn::tensor::ops::{ConvOptions, ConvTransposeOptions, MaxPoolOptions, PadMode};
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use std::collections::HashMap;
+use std::f32::consts::FRAC_2_PI;
 
 /// Layer norm's guard against division by zero.
 pub const NORM_EPSILON: f32 = 1e-5;
@@ -290,6 +291,16 @@ impl Ops for Sequence<'_> {
         self.light.clone().expect("set by step")
     }
 
+    fn add_base(&mut self, x: Tensor<2>) -> Tensor<2> {
+        let base = self.net.matrices["head.base"].clone();
+        let Some(frames) = self.whole else {
+            return x + base.narrow(0, self.position, 1);
+        };
+        let [rows, d] = x.dims();
+        let base = base.narrow(0, 0, frames).reshape([1, frames, d]);
+        (x.reshape([rows / frames, frames, d]) + base).reshape([rows, d])
+    }
+
     fn direction(&mut self, x: Tensor<2>) -> Tensor<2> {
         let reach = self.reach.clone().expect("set by step");
         let xy = x.clone().narrow(1, 0, 2);
@@ -298,7 +309,10 @@ impl Ops for Sequence<'_> {
         let (xy, z) = (xy / length.clone(), z / length);
         let radius = (xy.clone().square().sum_dim(1) + LENGTH_EPSILON).sqrt();
         // tan(slant/2) = r/(1+z): exact also where slant is small.
-        let slant = (radius.clone() / (z + 1.0)).atan() * 2.0 * reach;
+        let slant = (radius.clone() / (z + 1.0)).atan() * 2.0;
+        let tightness = reach.recip().square().square() - 1.0;
+        let fourth = (slant.clone() * FRAC_2_PI).square().square();
+        let slant = slant / (tightness * fourth + 1.0).sqrt().sqrt();
         Tensor::cat(vec![xy * (slant.clone().sin() / radius), slant.cos()], 1)
     }
 }
@@ -346,6 +360,7 @@ mod tests {
             head_hidden: 6,
             max_frames: 12,
             gating: true,
+            base: true,
             transformer: true,
         }
     }

@@ -85,8 +85,13 @@ impl Weights {
         b.conv("fuser.last1", e, 1, LAST_GAIN);
         b.linear("head.0", config.locations(), config.head_hidden, RELU_GAIN);
         b.linear("head.1", config.head_hidden, 3, LAST_GAIN);
-        let bias = b.params.last_mut().expect("head.1 has a bias");
-        bias.values = vec![0.5, 0.5, 1.0];
+        if config.base {
+            let base = (0..config.max_frames).flat_map(|t| base(t).to_array()).collect();
+            b.push("head.base", vec![config.max_frames, 3], base);
+        } else {
+            let bias = b.params.last_mut().expect("head.1 has a bias");
+            bias.values = vec![0.5, 0.5, 1.0];
+        }
         Self { config: config.clone(), params: b.params }
     }
 
@@ -171,6 +176,12 @@ fn norms(v: &Param) -> Vec<f32> {
         squares[output_channel(v, i)] += value * value;
     }
     squares.iter().map(|s| s.max(1e-24).sqrt()).collect()
+}
+
+/// The direction that step `t` (0 the first decided one) starts from: on a ring of 20° that is good on most objects. Neighbours in
+/// time are 160° apart, so that every beginning of the sequence is spread over the azimuths.
+fn base(t: usize) -> glam::Vec3 {
+    crate::light::from_azimuth_slant((160.0 * t as f32).to_radians(), 20f32.to_radians())
 }
 
 struct Builder {

@@ -5,7 +5,7 @@ use anyhow::{Context, anyhow};
 use coil_ps::dataset::Limits;
 use coil_ps::eval::{Protocol, Subject, protocol};
 use coil_ps::render::worlds;
-use coil_ps::render::{Material, Mesh, Options, Scene, SceneCamera, Shape};
+use coil_ps::render::{Material, Mesh, Options, Scene, SceneCamera, Shape, Tolerances};
 use coil_ps::stack::{RawStack, Stack};
 use std::path::Path;
 
@@ -13,8 +13,13 @@ use std::path::Path;
 pub enum Object {
     /// Stored images.
     Stack(Box<Stack>),
-    /// Rendered under exactly the direction asked for.
-    Scene(Box<Scene>),
+    /// Rendered under any direction.
+    Scene {
+        /// What is seen.
+        scene: Box<Scene>,
+        /// By a camera without errors.
+        ideal: bool,
+    },
 }
 
 impl Object {
@@ -22,8 +27,11 @@ impl Object {
     pub fn with_subject<T>(&self, reach: f32, f: impl FnOnce(&Subject) -> T) -> T {
         match self {
             Self::Stack(stack) => f(&Subject::Stack(stack)),
-            Self::Scene(scene) => {
-                let camera = SceneCamera::new(scene);
+            Self::Scene { scene, ideal } => {
+                let camera = match ideal {
+                    true => SceneCamera::new(scene),
+                    false => SceneCamera::real(scene, Tolerances::RIG, 1),
+                };
                 f(&Subject::Scene { name: &scene.name, camera: &camera, truth: Some(scene.truth()), reach })
             }
         }
@@ -47,6 +55,9 @@ pub struct Selection {
     /// Largest slant of the light on rendered objects, degrees.
     #[arg(long, default_value_t = 90.0, value_parser = degrees)]
     pub reach: f32,
+    /// See rendered objects without a rig's errors (noise, 0.5° of the light's direction, 1 % of its brightness).
+    #[arg(long)]
+    ideal: bool,
 }
 
 fn degrees(text: &str) -> Result<f32, String> {
@@ -79,7 +90,10 @@ impl Selection {
                 Ok(objects) => {
                     for object in objects {
                         let scene = object.scene(&self.options()).map_err(anyhow::Error::from);
-                        each(&object.name, scene.map(|s| Object::Scene(Box::new(s))))?;
+                        each(
+                            &object.name,
+                            scene.map(|s| Object::Scene { scene: Box::new(s), ideal: self.ideal }),
+                        )?;
                     }
                 }
                 Err(error) => each(path, Err(error))?,

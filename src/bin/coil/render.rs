@@ -45,6 +45,10 @@ pub struct Args {
     /// Noise and bits: ideal (none, 16 bits) or camera (10 000 electrons, 5 of read noise, 12 bits).
     #[arg(long, value_enum, default_value = "ideal")]
     sensor: SensorName,
+    /// Cast shadows: by rays, exact; or by the horizon map, several times faster, which takes light from below an overhang for
+    /// shadow. Without it: rays, but the map for worlds-…, whose definition it is part of.
+    #[arg(long, value_enum)]
+    shadows: Option<Shadows>,
     /// Linear value that just saturates; without it all but 0.2 % of the values lie below.
     #[arg(long)]
     white: Option<f32>,
@@ -78,6 +82,12 @@ pub struct Args {
 enum SensorName {
     Ideal,
     Camera,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+enum Shadows {
+    Rays,
+    Map,
 }
 
 /// What a run wrote, kept beside the objects (`render.json`, of a shard `render-I-of-N.json`).
@@ -132,7 +142,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let options = Options { size: args.size, bounces: args.bounces, ..Options::default() };
     let mut jobs = Vec::new();
     for name in &args.objects {
-        jobs.extend(objects(name, &args)?);
+        jobs.extend(objects(name, &args)?.into_iter().map(|(object, pose)| (object, pose, is_set(name))));
     }
     // Two objects of one name would overwrite each other.
     for i in 0..jobs.len() {
@@ -149,7 +159,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         .collect();
     let bar = output::progress(mine.len() * lights.len(), "images");
     let mut rendered = Vec::new();
-    for (number, (object, pose)) in &mine {
+    for (number, (object, pose, of_a_set)) in &mine {
         let scene = match pose {
             Some(pose) => Scene::new(&object.name, &object.shape, pose, &object.finish, &options),
             None => object.scene(&options),
@@ -157,13 +167,18 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         .with_context(|| object.name.clone())?;
         let white = args.white.unwrap_or_else(|| sensor::white_level(&scene, sensor::SATURATED));
         let seed = Rng::stream(args.seed, *number as u64).next_u64();
+        let shadows = args.shadows.unwrap_or(if *of_a_set { Shadows::Map } else { Shadows::Rays });
+        let tracer = (shadows == Shadows::Rays).then(|| Tracer::new(&object.shape, &scene.pose));
         let images = lights
             .par_iter()
             .enumerate()
             .map(|(k, &light)| {
-                let image = sensor::photo(&scene, light, white, &sensor, seed, k);
+                let linear = match &tracer {
+                    Some(tracer) => scene.render_with_shadows(light, &tracer.visibility(&scene.view, light)),
+                    None => scene.render(light),
+                };
                 bar.inc(1);
-                image
+                sensor::photo(&linear, white, &sensor, seed, k)
             })
             .collect();
         let raw = sensor::assemble(&scene, &lights, white, images);
@@ -189,6 +204,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         format!("material {}", args.material.as_deref().unwrap_or("default")),
         format!("pose {}", args.pose),
         format!("white {:?}", args.white),
+        format!("shadows {:?}", args.shadows),
     ];
     let manifest = Manifest {
         version: env!("CARGO_PKG_VERSION").into(),
@@ -258,9 +274,7 @@ fn sheet(args: &Args, file: &Path) -> anyhow::Result<ExitCode> {
 /// The objects of a name, with the pose where it does not follow from the object's rotation.
 fn objects(name: &str, args: &Args) -> anyhow::Result<Vec<(Object, Option<Pose>)>> {
     let mesh = [".obj", ".ply", ".stl"].iter().any(|end| name.to_ascii_lowercase().ends_with(end));
-    let own_finish = [worlds::NAME, "worlds-train", "worlds-validate"]
-        .contains(&name.split(':').next().unwrap_or_default());
-    if own_finish {
+    if is_set(name) {
         if args.material.is_some() || args.pose != "front" {
             bail!("{name}: its materials and poses are part of it; leave --material and --pose out");
         }
@@ -295,6 +309,11 @@ fn objects(name: &str, args: &Args) -> anyhow::Result<Vec<(Object, Option<Pose>)
         }
     }
     Ok(vec![(object, pose)])
+}
+
+/// Whether a name stands for objects that have their own materials and poses.
+fn is_set(name: &str) -> bool {
+    [worlds::NAME, "worlds-train", "worlds-validate"].contains(&name.split(':').next().unwrap_or_default())
 }
 
 /// Light directions of all `--lights` together.
@@ -519,7 +538,7 @@ fn bench(args: &Args) -> anyhow::Result<ExitCode> {
         std::hint::black_box(kept);
         let start = Instant::now();
         let white = sensor::white_level(&bounce, sensor::SATURATED);
-        let photo = |&l: &Vec3| sensor::photo(&bounce, l, white, &Sensor::IDEAL, 1, 0).len();
+        let photo = |&l: &Vec3| sensor::photo(&bounce.render(l), white, &Sensor::IDEAL, 1, 0).len();
         let done: usize = fibonacci_hemisphere(96).par_iter().map(photo).sum();
         std::hint::black_box(done);
         let stack_of_96_seconds = prepare_bounce_seconds + start.elapsed().as_secs_f64();

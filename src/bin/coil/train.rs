@@ -85,6 +85,9 @@ struct Policy {
     /// Pictures a sequence, T.
     #[arg(long)]
     lights: Option<usize>,
+    /// Share of the gradient that flows back through what the policy sees, 0 to 1.
+    #[arg(long)]
+    feedback: Option<f32>,
     /// Seed of weights and draws.
     #[arg(long)]
     seed: Option<u64>,
@@ -243,6 +246,7 @@ fn recipe(args: &Policy) -> anyhow::Result<Recipe> {
     set(&mut r.rate, args.rate);
     set(&mut r.lights, args.lights);
     set(&mut r.seed, args.seed);
+    set(&mut r.feedback, args.feedback);
     set(&mut r.solver, args.solver.clone());
     match args.lookup.as_deref() {
         None => {}
