@@ -44,8 +44,10 @@ def main(folder: Path, trace_path: Path) -> int:
                 "light": np.array([picture["light"]], np.float32),
                 "reach": np.array([[run["reach"]]], np.float32),
             }
+            if "position" in shapes:
+                inputs["position"] = np.array([i], np.int64)
             if caches:
-                inputs |= {"position": np.array([i], np.int64), **caches}
+                inputs |= caches
                 direction, keys, values = step.run(["direction", "new_keys", "new_values"], inputs)
                 caches["keys"][:, :, i] = keys
                 caches["values"][:, :, i] = values
