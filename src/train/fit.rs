@@ -2,7 +2,7 @@
 
 use super::adamw::{AdamW, clip};
 use super::formation::{Lookup, Scene, light_set};
-use super::loss::{LeastSquares, TrainingSolver};
+use super::loss::{LeastSquares, Measure, TrainingSolver};
 use super::rollout::{Conditions, Episode, Pass, differentiate};
 use super::weights::Weights;
 use crate::light::fibonacci_cap;
@@ -18,6 +18,9 @@ pub struct Recipe {
     pub config: Config,
     /// Seed of the weights and of every draw.
     pub seed: u64,
+    /// The run whose best weights this one began with, if it did not begin with fresh ones.
+    #[serde(default)]
+    pub from: Option<String>,
     /// Objects in the training pool.
     pub objects: usize,
     /// Side of the training pictures, pixels.
@@ -54,9 +57,12 @@ pub struct Recipe {
     /// fast and ten steps multiply: with features of unit scale the gradient's length reached 20 000 at 1, and 30 000 at
     /// 0.1, where the loss's own is about 1. The gradient through pictures, solver and loss is always whole.
     pub feedback: f32,
-    /// Largest length of dLoss/d(direction) of one picture. Their median is 0.02 (the last light) to 0.2 (the first); a highlight
+    /// Largest length of dLoss/d(direction) of one picture. For the cosine their median is 0.02 (the last light) to 0.2 (the
+    /// first), for the angle some five times that; a highlight
     /// that sweeps over a pixel gives a hundred times that, and says nothing of where the light should go.
     pub steepest: f32,
+    /// What the loss measures.
+    pub measure: Measure,
     /// Name of the solver.
     pub solver: String,
 }
@@ -75,9 +81,10 @@ impl Recipe {
         Self {
             config: Config::compact(),
             seed: 1,
+            from: None,
             objects: 2000,
             resolution: 40,
-            steps: 4000,
+            steps: 3000,
             batch: 8,
             micro_batch: 8,
             lights: 10,
@@ -85,14 +92,15 @@ impl Recipe {
             cosine: true,
             warm_up: 50,
             decay: 1e-4,
-            clip: 1.0,
+            clip: 4.0,
             softness: 0.05,
             tau: None,
             whole_dome: 0.6,
             finite: 0.2,
             blank: false,
             feedback: 0.0,
-            steepest: 0.1,
+            steepest: 0.5,
+            measure: Measure::Angle,
             solver: "ls".into(),
         }
     }
@@ -117,6 +125,8 @@ impl Recipe {
             finite: 0.0,
             feedback: 1.0,
             steepest: 1e6,
+            measure: Measure::Cosine,
+            clip: 1.0,
             ..Self::compact()
         }
     }
@@ -162,6 +172,7 @@ impl Recipe {
             blank: self.blank,
             feedback: self.feedback,
             steepest: self.steepest,
+            measure: self.measure,
         }
     }
 }
@@ -179,7 +190,7 @@ pub struct Report {
     pub step: u64,
     /// Weighted loss of the batch.
     pub loss: f64,
-    /// Mean of 1 − n·n_gt after the last picture.
+    /// Mean of the measure after the last picture.
     pub last: f64,
     /// Length of the gradient before it was clipped.
     pub gradient: f32,

@@ -2,6 +2,7 @@
 //! network alone, and the photometric-stereo part costs a few passes over the pixels.
 
 use glam::{DMat3, DVec3, Vec3};
+use serde::{Deserialize, Serialize};
 
 /// The pictures of one object in the order of capture, as a solver sees them.
 #[derive(Clone, Copy, Debug)]
@@ -14,12 +15,39 @@ pub struct Captured<'a> {
     pub truth: &'a [Vec3],
 }
 
+/// How far a normal n is from the true one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Measure {
+    /// 1 − n·n_gt, the paper's. About half the square of the angle: glossy objects with their large errors count most.
+    Cosine,
+    /// The angle, radians: what objects are judged by.
+    Angle,
+}
+
+/// Widens the arc cosine so that its slope is finite where normals agree: `arccos(c/s) − arccos(1/s)`, s² = 1 + this (about 1°).
+const ROUNDING: f64 = 4e-4;
+
+impl Measure {
+    /// The measure of a cosine, and minus its slope.
+    fn of(self, cosine: f64) -> (f64, f64) {
+        match self {
+            Self::Cosine => (1.0 - cosine, 1.0),
+            Self::Angle => {
+                let s = (1.0 + ROUNDING).sqrt();
+                let slope = 1.0 / (s * s - cosine * cosine).max(ROUNDING).sqrt();
+                (libm::acos(cosine / s) - libm::acos(1.0 / s), slope)
+            }
+        }
+    }
+}
+
 /// Loss of a run and its gradient.
 #[derive(Clone, Debug)]
 pub struct Loss {
     /// Weighted sum over the steps.
     pub total: f64,
-    /// Mean cosine distance 1 − n·n_gt after the last picture.
+    /// Mean of the measure after the last picture.
     pub last: f64,
     /// dLoss/d(light), for each picture, at fixed images.
     pub lights: Vec<Vec3>,
@@ -32,9 +60,9 @@ pub trait TrainingSolver: Sync {
     /// Its name on the command line.
     fn name(&self) -> &'static str;
 
-    /// Σ_t weights[t−1]·mean(1 − n·n_gt), with the normals `n` solved from the first t pictures; steps of weight zero
+    /// Σ_t weights[t−1]·mean(measure of n), with the normals `n` solved from the first t pictures; steps of weight zero
     /// are skipped. `weights` has one entry a picture.
-    fn loss(&self, captured: &Captured, weights: &[f64]) -> Loss;
+    fn loss(&self, captured: &Captured, weights: &[f64], measure: Measure) -> Loss;
 }
 
 /// Weight of the loss after picture t = i+1: 1 − 0.9^i for i ≥ 3, 0 before (COIL-PS: Σ_{i=3}^{T−1} w_i L_{i+1}).
@@ -61,7 +89,7 @@ impl TrainingSolver for LeastSquares {
         "ls"
     }
 
-    fn loss(&self, captured: &Captured, weights: &[f64]) -> Loss {
+    fn loss(&self, captured: &Captured, weights: &[f64], measure: Measure) -> Loss {
         let Captured { lights, grey, truth } = *captured;
         let (count, pixels) = (lights.len(), truth.len());
         let directions: Vec<DVec3> = lights.iter().map(|l| l.as_dvec3()).collect();
@@ -93,11 +121,12 @@ impl TrainingSolver for LeastSquares {
                     let n = g / length;
                     let cosine = n.dot(n_gt);
                     let weight = weights[t] / pixels as f64;
-                    total += weight * (1.0 - cosine);
+                    let (value, slope) = measure.of(cosine);
+                    total += weight * value;
                     if t + 1 == count {
-                        last += (1.0 - cosine) / pixels as f64;
+                        last += value / pixels as f64;
                     }
-                    let u = (n * cosine - n_gt) * (weight / length);
+                    let u = (n * cosine - n_gt) * (slope * weight / length);
                     let v = inverses[t] * u;
                     adjoint += v;
                     gram_adjoint[t] -= DMat3::from_cols(v * g.x, v * g.y, v * g.z);
@@ -151,7 +180,8 @@ mod tests {
     fn the_normals_are_those_of_the_core_solver() {
         let (lights, grey, truth) = scene(6);
         let captured = Captured { lights: &lights, grey: &grey, truth: &truth };
-        let loss = LeastSquares { ridge: 0.0 }.loss(&captured, &[0.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
+        let loss =
+            LeastSquares { ridge: 0.0 }.loss(&captured, &[0.0, 0.0, 0.0, 0.0, 0.0, 1.0], Measure::Cosine);
         let images = grey.iter().map(Vec::as_slice).collect();
         let m = Measurements { lights: lights.clone(), images, saturation: None };
         let normals = Exact.solve(&m).unwrap().normals;
@@ -164,29 +194,32 @@ mod tests {
         let (lights, grey, truth) = scene(5);
         let solver = LeastSquares::default();
         let weights = step_weights(5);
-        let value = |lights: &[Vec3], grey: &[Vec<f32>]| {
-            solver.loss(&Captured { lights, grey, truth: &truth }, &weights).total
-        };
-        let loss = solver.loss(&Captured { lights: &lights, grey: &grey, truth: &truth }, &weights);
-        let h = 1e-3f32;
-        for t in 0..5 {
-            for axis in 0..3 {
-                let moved = |step: f32| {
-                    let mut l = lights.clone();
-                    l[t][axis] += step;
-                    value(&l, &grey)
-                };
-                let numeric = (moved(h) - moved(-h)) / f64::from(2.0 * h);
-                assert!((numeric - f64::from(loss.lights[t][axis])).abs() < 1e-4, "light {t}.{axis}");
-            }
-            for p in [0, 7, 39] {
-                let moved = |step: f32| {
-                    let mut g = grey.clone();
-                    g[t][p] += step;
-                    value(&lights, &g)
-                };
-                let numeric = (moved(h) - moved(-h)) / f64::from(2.0 * h);
-                assert!((numeric - f64::from(loss.grey[t][p])).abs() < 1e-5, "grey {t}.{p}");
+        for measure in [Measure::Cosine, Measure::Angle] {
+            let value = |lights: &[Vec3], grey: &[Vec<f32>]| {
+                solver.loss(&Captured { lights, grey, truth: &truth }, &weights, measure).total
+            };
+            let loss =
+                solver.loss(&Captured { lights: &lights, grey: &grey, truth: &truth }, &weights, measure);
+            let h = 1e-3f32;
+            for t in 0..5 {
+                for axis in 0..3 {
+                    let moved = |step: f32| {
+                        let mut l = lights.clone();
+                        l[t][axis] += step;
+                        value(&l, &grey)
+                    };
+                    let numeric = (moved(h) - moved(-h)) / f64::from(2.0 * h);
+                    assert!((numeric - f64::from(loss.lights[t][axis])).abs() < 1e-3, "light {t}.{axis}");
+                }
+                for p in [0, 7, 39] {
+                    let moved = |step: f32| {
+                        let mut g = grey.clone();
+                        g[t][p] += step;
+                        value(&lights, &g)
+                    };
+                    let numeric = (moved(h) - moved(-h)) / f64::from(2.0 * h);
+                    assert!((numeric - f64::from(loss.grey[t][p])).abs() < 1e-4, "grey {t}.{p}");
+                }
             }
         }
     }

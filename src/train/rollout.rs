@@ -4,7 +4,7 @@
 //! gradient. The solver's gradient is computed by hand ([`super::loss`]), so the graph holds the network alone.
 
 use super::formation::{Lookup, Scene, Shot};
-use super::loss::{Captured, TrainingSolver, step_weights};
+use super::loss::{Captured, Measure, TrainingSolver, step_weights};
 use super::tape::{Network, tensor, values};
 use super::weights::Weights;
 use crate::policy::config::Config;
@@ -32,6 +32,8 @@ pub struct Conditions {
     pub feedback: f32,
     /// Largest length of dLoss/d(direction) of one picture; see [`super::fit::Recipe::steepest`].
     pub steepest: f32,
+    /// What the loss measures.
+    pub measure: Measure,
     /// Whether the policy sees black frames only: what it can then learn is one fixed set of lights.
     pub blank: bool,
 }
@@ -40,7 +42,7 @@ pub struct Conditions {
 pub struct Pass {
     /// Mean weighted loss.
     pub total: f64,
-    /// Mean of 1 − n·n_gt after the last picture.
+    /// Mean of the measure after the last picture.
     pub last: f64,
     /// Gradient of the mean loss by each parameter.
     pub gradients: Vec<Vec<f32>>,
@@ -78,7 +80,7 @@ pub fn differentiate(
     for (b, track) in run.tracks.iter().enumerate() {
         let lights: Vec<Vec3> = track.shots.iter().map(|s| s.light).collect();
         let captured = Captured { lights: &lights, grey: &track.grey, truth: episodes[b].scene.truth() };
-        let loss = solver.loss(&captured, &step);
+        let loss = solver.loss(&captured, &step, how.measure);
         total += share * loss.total;
         last += share * loss.last;
         for (t, shot) in track.shots.iter().enumerate() {

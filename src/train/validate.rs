@@ -3,6 +3,7 @@
 
 use super::fit::in_parallel;
 use super::formation::{Lookup, Scene};
+use super::loss::Measure;
 use super::rollout::{Conditions, Episode, capture};
 use super::tape::Network;
 use super::weights::Weights;
@@ -50,7 +51,7 @@ pub struct Validation {
 /// How a policy does on `scenes` (whole hemisphere, pictures at exactly the direction asked for).
 #[must_use]
 pub fn policy(weights: &Weights, scenes: &[Box<dyn Scene>], blank: bool, threads: usize) -> Validation {
-    let how = Conditions { lights: STAGES[2], feedback: 0.0, steepest: 0.0, blank };
+    let how = Conditions { lights: STAGES[2], feedback: 0.0, steepest: 0.0, measure: Measure::Angle, blank };
     let groups: Vec<&[Box<dyn Scene>]> = scenes.chunks(TOGETHER).collect();
     let runs = in_parallel(groups.len(), threads, |g| {
         let net = Network::new(weights, &Device::flex());

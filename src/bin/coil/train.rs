@@ -5,6 +5,7 @@ use clap::{Args as ClapArgs, Subcommand, ValueEnum};
 use coil_ps::light::{fibonacci_hemisphere, ring};
 use coil_ps::policy::Config;
 use coil_ps::train::fit::{Recipe, Report, Trainer};
+use coil_ps::train::loss::Measure;
 use coil_ps::train::{checkpoint, export, objects, plot, validate};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::{Deserialize, Serialize};
@@ -67,6 +68,9 @@ struct Policy {
     /// How a direction becomes a picture: exact, or soft:TAU (radians).
     #[arg(long)]
     lookup: Option<String>,
+    /// What the loss measures: angle, or cosine (the paper's).
+    #[arg(long, value_parser = |text: &str| serde_json::from_value::<Measure>(text.into()).map_err(|_| "angle or cosine"))]
+    measure: Option<Measure>,
     /// Solver to train through.
     #[arg(long)]
     solver: Option<String>,
@@ -106,6 +110,9 @@ struct Policy {
     /// Folder of a new run: recipe, log, plot, checkpoint, exported best model.
     #[arg(long, required_unless_present = "resume")]
     out: Option<PathBuf>,
+    /// Folder of a run whose best weights a new run begins with.
+    #[arg(long, conflicts_with = "resume")]
+    from: Option<PathBuf>,
     /// Folder of a run to go on with.
     #[arg(long, conflicts_with = "out")]
     resume: Option<PathBuf>,
@@ -147,7 +154,11 @@ fn policy(args: &Policy) -> anyhow::Result<ExitCode> {
             if dir.join("checkpoint").exists() {
                 bail!("{} holds a run already: go on with --resume, or name another folder", dir.display());
             }
-            (dir, Trainer::new(recipe(args)?).map_err(anyhow::Error::msg)?)
+            let trainer = match &args.from {
+                None => Trainer::new(recipe(args)?).map_err(anyhow::Error::msg)?,
+                Some(from) => begin_from(from, recipe(args)?)?,
+            };
+            (dir, trainer)
         }
     };
     fs::create_dir_all(&dir).with_context(|| format!("can't make the folder {}", dir.display()))?;
@@ -247,6 +258,7 @@ fn recipe(args: &Policy) -> anyhow::Result<Recipe> {
     set(&mut r.lights, args.lights);
     set(&mut r.seed, args.seed);
     set(&mut r.feedback, args.feedback);
+    set(&mut r.measure, args.measure);
     set(&mut r.solver, args.solver.clone());
     match args.lookup.as_deref() {
         None => {}
@@ -272,6 +284,15 @@ fn resume(dir: &Path) -> anyhow::Result<Trainer> {
     let path = dir.join("checkpoint");
     let bytes = fs::read(&path).with_context(|| format!("no run in {}", dir.display()))?;
     checkpoint::read(&bytes).with_context(|| path.display().to_string())
+}
+
+/// A new run of the network, and with the best weights, of the run in `from`.
+fn begin_from(from: &Path, recipe: Recipe) -> anyhow::Result<Trainer> {
+    let other = resume(from)?;
+    let recipe = Recipe { config: other.recipe.config, from: Some(from.display().to_string()), ..recipe };
+    let mut trainer = Trainer::new(recipe).map_err(anyhow::Error::msg)?;
+    trainer.weights = other.best.map_or(other.weights, |best| best.0);
+    Ok(trainer)
 }
 
 fn baselines(
