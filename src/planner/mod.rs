@@ -286,7 +286,9 @@ pub fn build<'a>(name: &str, setup: &Setup<'a>) -> Result<Box<dyn Planner + 'a>,
         "lipids" => Box::new(fixed::FixedSet::new(fixed::jittered(fixed::lipids(lights)?, draw, &mut rng))),
         "tk22" => Box::new(tk22::Tk22::new(start(&mut rng), rng)),
         name if name.starts_with("coil") => {
-            let needs = || PlanError::Needs { planner: info.name, what: "its trained model".into() };
+            let what = "its trained network (files in models/; on the command line a build with the feature policy, as the \
+                        default one)";
+            let needs = || PlanError::Needs { planner: info.name, what: what.into() };
             let learned = setup.learned.ok_or_else(needs)?;
             learned.planner(name, start(&mut rng)).ok_or_else(needs)?
         }
