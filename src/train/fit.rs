@@ -357,6 +357,8 @@ mod tests {
             heads: 2,
             feed_forward: 16,
             light_hidden: 4,
+            // So that there is much to learn.
+            base: false,
             ..Config::compact()
         };
         Recipe {
@@ -367,6 +369,8 @@ mod tests {
             micro_batch: 2,
             lights: 5,
             rate: 2e-3,
+            clip: 1.0,
+            measure: Measure::Cosine,
             ..Recipe::compact()
         }
     }
