@@ -426,7 +426,7 @@ mod tests {
             // The entry with the largest gradient.
             let g = &pass.gradients[p];
             let k = (0..g.len()).max_by(|&a, &b| g[a].abs().total_cmp(&g[b].abs())).unwrap();
-            let h = 2e-3;
+            let exact = f64::from(g[k]);
             let mut at = |step: f32| {
                 let old = weights.params[p].values[k];
                 weights.params[p].values[k] = old + step;
@@ -434,11 +434,11 @@ mod tests {
                 weights.params[p].values[k] = old;
                 total
             };
-            let numeric = (at(h) - at(-h)) / f64::from(2.0 * h);
-            let exact = f64::from(g[k]);
+            // A kink of a ReLU or a pool within ±h spoils a difference: one of three steps must agree.
+            let numeric = [2e-3f32, 5e-4, 1e-4].map(|h| (at(h) - at(-h)) / f64::from(2.0 * h));
             assert!(
-                (numeric - exact).abs() < 2e-4 + 0.05 * exact.abs(),
-                "{}[{k}]: {numeric} {exact}",
+                numeric.iter().any(|n| (n - exact).abs() < 2e-4 + 0.05 * exact.abs()),
+                "{}[{k}]: {numeric:?} {exact}",
                 weights.params[p].name
             );
         }
