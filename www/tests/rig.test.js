@@ -44,7 +44,7 @@ test("home, go, jog; Stop ends everything and no move follows", async () => {
     await state(page, /Stopped\. Release/);
     const before = (await lines(page)).length;
     for (const name of ["Go to", "Home", "Resume"]) await page.getByRole("button", { name, exact: true }).click();
-    assert.match(await page.locator(".rig-said").innerText(), /stopped/);
+    await page.waitForFunction(() => /stopped/.test(document.querySelector(".rig-said")?.textContent ?? ""));
     await page.waitForTimeout(700);
     assert.equal((await lines(page)).length, before, "no line after Stop");
     assert.equal(await page.locator(".rd-state").innerText(), "Alarm");
