@@ -5,7 +5,7 @@
 
 /** @type {Settings} */
 export const DEFAULTS = {
-  planners: ["random", "dc05v", "tk22", "lipids", "oracle"],
+  planners: ["random", "dc05v", "tk22", "lipids", "coil", "oracle"],
   solvers: ["ls"],
   lights: [10],
   protocol: "official",

@@ -147,7 +147,8 @@ function makeActions(page, store) {
   const relight = newestOnly(async () => {
     if (!store.state.view?.normals) return store.update({ relit: null });
     try {
-      store.update({ relit: await engine.call("relight", { light: store.state.sun }) });
+      const relit = await engine.call("relight", { light: store.state.sun });
+      if (relit) store.update({ relit }); // else a newer view is on its way
     } catch (error) {
       page.problem("The object can't be relit", error);
     }
@@ -275,7 +276,8 @@ function makeActions(page, store) {
       } finally {
         if (running.signal === signal) {
           store.update({ running: null });
-          if (store.state.shown.planner in LEARNED && store.state.view) look();
+          // For learned planners the worker changes to the build that has them, and what was shown goes with the other one.
+          if (store.state.view && settings.planners.some(name => name in LEARNED)) refresh();
         }
       }
     },
