@@ -219,17 +219,18 @@ export class Dome {
   }
 
   #drawCandidates() {
-    /** @type {SVGElement[]} */
-    const parts = [];
+    if (this.#dots.childElementCount !== 2 * this.#candidates.length) {
+      this.#dots.replaceChildren(...this.#candidates.flatMap((_, i) => [svg("circle"), svg("circle", { class: "hit", r: 5, "data-candidate": i })]));
+    }
+    // The circles stay the same ones: what the pointer stands on must not be taken from under it.
+    const circles = /** @type {HTMLCollectionOf<SVGElement>} */ (this.#dots.children);
     this.#candidates.forEach((direction, i) => {
       const { x, y } = this.#project(direction);
+      const at = { cx: x.toFixed(2), cy: y.toFixed(2) };
       const hot = i === this.#hot;
-      parts.push(
-        svg("circle", { class: `candidate${hot ? " hot" : ""}`, cx: x.toFixed(2), cy: y.toFixed(2), r: hot ? 3.4 : 1.4 }),
-        svg("circle", { class: "hit", cx: x.toFixed(2), cy: y.toFixed(2), r: 5, "data-candidate": i }),
-      );
+      set(circles[2 * i], { class: `candidate${hot ? " hot" : ""}`, r: hot ? 3.4 : 1.4, ...at });
+      set(circles[2 * i + 1], at);
     });
-    this.#dots.replaceChildren(...parts);
   }
 
   #drawMarks() {

@@ -110,10 +110,16 @@ impl Config {
         self.channels[3] / 4
     }
 
-    /// Numbers in a sequence's cache of attention keys (and as many in that of values).
+    /// Shape of a sequence's cache of attention keys (and of that of values): layer, location and head, frame, feature.
     #[must_use]
-    pub fn cache_len(&self) -> usize {
-        self.layers * self.locations() * self.max_frames * self.width
+    pub fn cache_shape(&self) -> [usize; 4] {
+        [self.layers, self.locations() * self.heads, self.max_frames, self.width / self.heads]
+    }
+
+    /// Whether a step must know its number.
+    #[must_use]
+    pub fn counts_steps(&self) -> bool {
+        self.transformer || self.base
     }
 
     /// Refuses sizes the network can't be built with; a damaged model file must not ask for any memory it likes.

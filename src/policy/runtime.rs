@@ -59,7 +59,7 @@ impl Policy {
     #[must_use]
     pub fn start(&self, mask: &Mask, reach: f32) -> Sequence {
         let config = self.header.config.clone();
-        let cache = if config.transformer { config.cache_len() } else { 0 };
+        let cache = if config.transformer { config.cache_shape().iter().product() } else { 0 };
         Sequence {
             policy: self.clone(),
             crop: Crop::new(mask, config.input),
@@ -151,16 +151,11 @@ impl Sequence {
             Some(gate) => Some(floats(gate)?),
             None => None,
         };
-        if config.transformer || config.base {
+        if config.counts_steps() {
             inputs.push(Tensor::from_shape(&[1], &[self.position as i64])?.into());
         }
         if config.transformer {
-            let shape = [
-                config.layers,
-                config.locations() * config.heads,
-                config.max_frames,
-                config.width / config.heads,
-            ];
+            let shape = config.cache_shape();
             inputs.push(Tensor::from_shape(&shape, &self.keys)?.into());
             inputs.push(Tensor::from_shape(&shape, &self.values)?.into());
         }

@@ -34,16 +34,11 @@ pub fn export(weights: &Weights, note: &str) -> ModelFiles {
     let features = o.graph.input("features", &[1, c, g, g]);
     o.light = Some(o.graph.input("light", &[1, 3]));
     o.reach = Some(o.graph.input("reach", &[1, 1]));
-    if config.transformer || config.base {
+    if config.counts_steps() {
         o.position = Some(o.graph.input_int("position", &[1]));
     }
     if config.transformer {
-        let cache = [
-            config.layers,
-            config.locations() * config.heads,
-            config.max_frames,
-            config.width / config.heads,
-        ];
+        let cache = config.cache_shape();
         o.keys = Some(o.graph.input("keys", &cache));
         o.values = Some(o.graph.input("values", &cache));
     }

@@ -63,8 +63,16 @@ pub struct Recipe {
     pub steepest: f32,
     /// What the loss measures.
     pub measure: Measure,
+    /// The picture after which the loss is measured first; 4 in the paper. Three lights are then placed for what comes after
+    /// alone, and normals from three pictures are bad.
+    #[serde(default = "fourth")]
+    pub first_loss: usize,
     /// Name of the solver.
     pub solver: String,
+}
+
+fn fourth() -> usize {
+    4
 }
 
 /// Smallest reach trained for, radians (25°).
@@ -101,6 +109,7 @@ impl Recipe {
             feedback: 0.0,
             steepest: 0.5,
             measure: Measure::Angle,
+            first_loss: 3,
             solver: "ls".into(),
         }
     }
@@ -126,6 +135,7 @@ impl Recipe {
             feedback: 1.0,
             steepest: 1e6,
             measure: Measure::Cosine,
+            first_loss: fourth(),
             clip: 1.0,
             ..Self::compact()
         }
@@ -142,6 +152,9 @@ impl Recipe {
         }
         if !(4..=self.config.max_frames).contains(&self.lights) {
             return Err(format!("{} lights: 4 to {}", self.lights, self.config.max_frames));
+        }
+        if !(3..=self.lights).contains(&self.first_loss) {
+            return Err(format!("loss from picture {} on: 3 to {}", self.first_loss, self.lights));
         }
         if !(self.rate > 0.0 && self.rate < 1.0) {
             return Err(format!("learning rate {}: between 0 and 1", self.rate));
@@ -173,6 +186,7 @@ impl Recipe {
             feedback: self.feedback,
             steepest: self.steepest,
             measure: self.measure,
+            first_loss: self.first_loss,
         }
     }
 }

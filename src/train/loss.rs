@@ -65,10 +65,11 @@ pub trait TrainingSolver: Sync {
     fn loss(&self, captured: &Captured, weights: &[f64], measure: Measure) -> Loss;
 }
 
-/// Weight of the loss after picture t = i+1: 1 − 0.9^i for i ≥ 3, 0 before (COIL-PS: Σ_{i=3}^{T−1} w_i L_{i+1}).
+/// Weight of the loss after picture t = i+1: 1 − 0.9^i from picture `first` on, 0 before (COIL-PS: Σ_{i=3}^{T−1} w_i L_{i+1},
+/// so `first` is 4).
 #[must_use]
-pub fn step_weights(lights: usize) -> Vec<f64> {
-    (0..lights).map(|i| if i >= 3 { 1.0 - libm::pow(0.9, i as f64) } else { 0.0 }).collect()
+pub fn step_weights(lights: usize, first: usize) -> Vec<f64> {
+    (0..lights).map(|i| if i + 1 >= first { 1.0 - libm::pow(0.9, i as f64) } else { 0.0 }).collect()
 }
 
 /// Least squares, with a small ridge on LᵀL so that lights which (still) lie in one plane give a finite gradient.
@@ -169,7 +170,7 @@ mod tests {
 
     #[test]
     fn weights_are_the_papers() {
-        let w = step_weights(10);
+        let w = step_weights(10, 4);
         assert_eq!(w[..3], [0.0; 3]);
         assert!(
             (w[3] - (1.0 - 0.9f64.powi(3))).abs() < 1e-12 && (w[9] - (1.0 - 0.9f64.powi(9))).abs() < 1e-12
@@ -193,7 +194,7 @@ mod tests {
     fn gradients_agree_with_finite_differences() {
         let (lights, grey, truth) = scene(5);
         let solver = LeastSquares::default();
-        let weights = step_weights(5);
+        let weights = step_weights(5, 3);
         for measure in [Measure::Cosine, Measure::Angle] {
             let value = |lights: &[Vec3], grey: &[Vec<f32>]| {
                 solver.loss(&Captured { lights, grey, truth: &truth }, &weights, measure).total

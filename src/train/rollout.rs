@@ -34,6 +34,8 @@ pub struct Conditions {
     pub steepest: f32,
     /// What the loss measures.
     pub measure: Measure,
+    /// The picture after which the loss is measured first.
+    pub first_loss: usize,
     /// Whether the policy sees black frames only: what it can then learn is one fixed set of lights.
     pub blank: bool,
 }
@@ -72,7 +74,7 @@ pub fn differentiate(
             direction = sequence.step(frames, lights, run.reach(&device));
         }
     }
-    let step = step_weights(how.lights);
+    let step = step_weights(how.lights, how.first_loss);
     let (mut total, mut last) = (0.0, 0.0);
     let mut surrogate: Option<Tensor<1>> = None;
     let share = 1.0 / episodes.len() as f64;

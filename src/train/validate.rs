@@ -51,7 +51,14 @@ pub struct Validation {
 /// How a policy does on `scenes` (whole hemisphere, pictures at exactly the direction asked for).
 #[must_use]
 pub fn policy(weights: &Weights, scenes: &[Box<dyn Scene>], blank: bool, threads: usize) -> Validation {
-    let how = Conditions { lights: STAGES[2], feedback: 0.0, steepest: 0.0, measure: Measure::Angle, blank };
+    let how = Conditions {
+        lights: STAGES[2],
+        feedback: 0.0,
+        steepest: 0.0,
+        measure: Measure::Angle,
+        first_loss: STAGES[0],
+        blank,
+    };
     let groups: Vec<&[Box<dyn Scene>]> = scenes.chunks(TOGETHER).collect();
     let runs = in_parallel(groups.len(), threads, |g| {
         let net = Network::new(weights, &Device::flex());

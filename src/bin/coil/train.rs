@@ -71,6 +71,9 @@ struct Policy {
     /// What the loss measures: angle, or cosine (the paper's).
     #[arg(long, value_parser = |text: &str| serde_json::from_value::<Measure>(text.into()).map_err(|_| "angle or cosine"))]
     measure: Option<Measure>,
+    /// Picture after which the loss is measured first: 3 or later (4 in the paper).
+    #[arg(long)]
+    first_loss: Option<usize>,
     /// Solver to train through.
     #[arg(long)]
     solver: Option<String>,
@@ -259,6 +262,7 @@ fn recipe(args: &Policy) -> anyhow::Result<Recipe> {
     set(&mut r.seed, args.seed);
     set(&mut r.feedback, args.feedback);
     set(&mut r.measure, args.measure);
+    set(&mut r.first_loss, args.first_loss);
     set(&mut r.solver, args.solver.clone());
     match args.lookup.as_deref() {
         None => {}
