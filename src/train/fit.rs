@@ -1,6 +1,7 @@
 //! The training loop as a value: make a step, save everything, go on from what was saved as if nothing had happened.
 
 use super::adamw::{AdamW, clip};
+use super::compute::Compute;
 use super::formation::{Lookup, Scene, light_set};
 use super::loss::{LeastSquares, Measure, TrainingSolver};
 use super::rollout::{Conditions, Episode, Pass, differentiate};
@@ -244,20 +245,20 @@ impl Trainer {
         self.step >= self.recipe.steps
     }
 
-    /// One update, on `threads` threads; their number doesn't change the result.
+    /// One update. The number of threads doesn't change the result.
     ///
     /// # Errors
     /// A loss or gradient that is not finite; the weights are then as they were.
-    pub fn update(&mut self, pool: &dyn Pool, threads: usize) -> Result<Report, String> {
+    pub fn update(&mut self, pool: &dyn Pool, on: &Compute) -> Result<Report, String> {
         let solver = self.recipe.training_solver()?;
         let drawn: Vec<Drawn> = (0..self.recipe.batch).map(|b| self.draw(pool, b)).collect();
         let groups: Vec<&[Drawn]> = drawn.chunks(self.recipe.micro_batch).collect();
-        let passes = in_parallel(groups.len(), threads, |g| {
+        let passes = in_parallel(groups.len(), on.threads, |g| {
             let episodes: Vec<Episode> = groups[g]
                 .iter()
                 .map(|d| Episode { scene: &*d.scene, lookup: d.lookup.clone(), reach: d.reach })
                 .collect();
-            differentiate(&self.weights, &episodes, self.recipe.conditions(), &*solver)
+            differentiate(&self.weights, &episodes, self.recipe.conditions(), &*solver, &on.device)
         });
         let mut gradients: Vec<Vec<f32>> =
             self.weights.params.iter().map(|p| vec![0.0; p.values.len()]).collect();
@@ -394,7 +395,7 @@ mod tests {
         let mut t = Trainer::new(Recipe { steps: 60, ..recipe() }).unwrap();
         let mut losses = Vec::new();
         while !t.done() {
-            losses.push(t.update(&Bumps, 2).unwrap().loss);
+            losses.push(t.update(&Bumps, &Compute::cpu(2)).unwrap().loss);
         }
         let mean = |l: &[f64]| l.iter().sum::<f64>() / l.len() as f64;
         let (before, after) = (mean(&losses[..10]), mean(&losses[50..]));
@@ -405,17 +406,17 @@ mod tests {
     fn a_resumed_run_is_the_same_to_the_bit_on_any_number_of_threads() {
         let mut whole = Trainer::new(recipe()).unwrap();
         for _ in 0..6 {
-            whole.update(&Bumps, 1).unwrap();
+            whole.update(&Bumps, &Compute::cpu(1)).unwrap();
         }
         let mut first = Trainer::new(recipe()).unwrap();
         for _ in 0..3 {
-            first.update(&Bumps, 2).unwrap();
+            first.update(&Bumps, &Compute::cpu(2)).unwrap();
         }
         first.validated(12.0);
         let mut second = checkpoint::read(&checkpoint::write(&first)).unwrap();
         assert_eq!(second, first);
         for _ in 0..3 {
-            second.update(&Bumps, 2).unwrap();
+            second.update(&Bumps, &Compute::cpu(2)).unwrap();
         }
         assert_eq!(second.weights, whole.weights);
         assert_eq!(second.adam, whole.adam);
@@ -429,8 +430,8 @@ mod tests {
         let scene = Bump::new(16, 2.0);
         let episode = || [Episode { scene: &scene, lookup: Lookup::Exact, reach: 1.2 }];
         let how = r.conditions();
-        let solver = LeastSquares::default();
-        let pass = differentiate(&weights, &episode(), how, &solver);
+        let (solver, on) = (LeastSquares::default(), Compute::cpu(1));
+        let pass = differentiate(&weights, &episode(), how, &solver, &on.device);
         let index: Vec<usize> =
             ["head.1.w", "head.0.w", "view.2.v", "tokens.out.w", "encoder.7.g", "light.1.w"]
                 .iter()
@@ -444,7 +445,7 @@ mod tests {
             let mut at = |step: f32| {
                 let old = weights.params[p].values[k];
                 weights.params[p].values[k] = old + step;
-                let total = differentiate(&weights, &episode(), how, &solver).total;
+                let total = differentiate(&weights, &episode(), how, &solver, &on.device).total;
                 weights.params[p].values[k] = old;
                 total
             };

@@ -2,6 +2,7 @@
 
 pub mod adamw;
 pub mod checkpoint;
+pub mod compute;
 pub mod export;
 pub mod fit;
 pub mod formation;

@@ -52,15 +52,16 @@ pub struct Pass {
     pub directions: Vec<Vec<Vec3>>,
 }
 
-/// Captures `episodes` as one batch and differentiates their mean loss.
+/// Captures `episodes` as one batch and differentiates their mean loss; the network runs on `device`.
 #[must_use]
 pub fn differentiate(
     weights: &Weights,
     episodes: &[Episode],
     how: Conditions,
     solver: &dyn TrainingSolver,
+    device: &Device,
 ) -> Pass {
-    let device = Device::flex().autodiff();
+    let device = device.clone().autodiff();
     let net = Network::new(weights, &device);
     let mut run = Run::new(&weights.config, episodes, how);
     let mut sequence = net.start();
@@ -112,16 +113,15 @@ pub fn differentiate(
 /// What the policy does on `episodes`, without gradients: the pictures' lights (as the solver must use them) and grey
 /// values, object by object.
 #[must_use]
-pub fn capture(net: &Network, episodes: &[Episode], how: Conditions) -> Vec<Captures> {
-    let device = Device::flex();
+pub fn capture(net: &Network, episodes: &[Episode], how: Conditions, device: &Device) -> Vec<Captures> {
     let mut run = Run::new(net.config(), episodes, how);
     let mut sequence = net.start();
-    let mut direction = run.first(&device);
+    let mut direction = run.first(device);
     for i in 0..how.lights {
         let newest = run.capture(&values(direction.clone()), false);
         if i + 1 < how.lights {
-            let (frames, lights) = run.inputs(newest, &direction, &device);
-            direction = sequence.step(frames, lights, run.reach(&device));
+            let (frames, lights) = run.inputs(newest, &direction, device);
+            direction = sequence.step(frames, lights, run.reach(device));
         }
     }
     run.tracks

@@ -1,6 +1,7 @@
 //! How well a policy in training does on objects it was not trained on, and what fixed light sets and a greedy oracle
 //! do on the same objects.
 
+use super::compute::Compute;
 use super::fit::in_parallel;
 use super::formation::{Lookup, Scene};
 use super::loss::Measure;
@@ -11,7 +12,6 @@ use crate::error::mae;
 use crate::light;
 use crate::rng::Rng;
 use crate::solve::least_squares::NormalEquations;
-use burn::tensor::Device;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use std::f32::consts::FRAC_PI_2;
@@ -50,7 +50,7 @@ pub struct Validation {
 
 /// How a policy does on `scenes` (whole hemisphere, pictures at exactly the direction asked for).
 #[must_use]
-pub fn policy(weights: &Weights, scenes: &[Box<dyn Scene>], blank: bool, threads: usize) -> Validation {
+pub fn policy(weights: &Weights, scenes: &[Box<dyn Scene>], blank: bool, on: &Compute) -> Validation {
     let how = Conditions {
         lights: STAGES[2],
         feedback: 0.0,
@@ -60,13 +60,13 @@ pub fn policy(weights: &Weights, scenes: &[Box<dyn Scene>], blank: bool, threads
         blank,
     };
     let groups: Vec<&[Box<dyn Scene>]> = scenes.chunks(TOGETHER).collect();
-    let runs = in_parallel(groups.len(), threads, |g| {
-        let net = Network::new(weights, &Device::flex());
+    let runs = in_parallel(groups.len(), on.threads, |g| {
+        let net = Network::new(weights, &on.device);
         let episodes: Vec<Episode> = groups[g]
             .iter()
             .map(|s| Episode { scene: &**s, lookup: Lookup::Exact, reach: FRAC_PI_2 })
             .collect();
-        capture(&net, &episodes, how)
+        capture(&net, &episodes, how, &on.device)
     });
     let runs: Vec<_> = runs.into_iter().flatten().collect();
     let each: Vec<[f64; 3]> =
@@ -193,7 +193,7 @@ mod tests {
     fn a_blind_policy_has_no_spread() {
         let scenes: Vec<Box<dyn Scene>> = (14..18).map(|s| Box::new(Bump::new(s, 4.0)) as _).collect();
         let weights = Weights::new(&crate::policy::Config::compact(), 1);
-        assert!(policy(&weights, &scenes, true, 1).spread < 0.05);
-        assert!(policy(&weights, &scenes, false, 1).spread > 0.05);
+        assert!(policy(&weights, &scenes, true, &Compute::cpu(1)).spread < 0.05);
+        assert!(policy(&weights, &scenes, false, &Compute::cpu(1)).spread > 0.05);
     }
 }

@@ -4,6 +4,7 @@ use anyhow::{Context, bail};
 use clap::{Args as ClapArgs, Subcommand, ValueEnum};
 use coil_ps::light::{fibonacci_hemisphere, ring};
 use coil_ps::policy::Config;
+use coil_ps::train::compute::{Compute, Processor};
 use coil_ps::train::fit::{Recipe, Report, Trainer};
 use coil_ps::train::loss::Measure;
 use coil_ps::train::{checkpoint, export, objects, plot, validate};
@@ -34,6 +35,13 @@ enum Preset {
     Compact,
     /// The paper's recipe (AdamW 1e-5, batch 8, 500 epochs of 1000 objects, soft interpolation).
     Paper,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Device {
+    Cpu,
+    Cuda,
+    Wgpu,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
@@ -98,6 +106,9 @@ struct Policy {
     /// Seed of weights and draws.
     #[arg(long)]
     seed: Option<u64>,
+    /// What the network is trained on: cpu, cuda (feature train-cuda) or wgpu (feature train-wgpu).
+    #[arg(long, value_enum, default_value = "cpu")]
+    device: Device,
     /// Threads; their number doesn't change the result.
     #[arg(long, default_value_t = 1)]
     threads: usize,
@@ -169,6 +180,12 @@ fn policy(args: &Policy) -> anyhow::Result<ExitCode> {
     let mut log = Log::open(&dir.join("log.jsonl"), trainer.step)?;
 
     let threads = args.threads.max(1);
+    let processor = match args.device {
+        Device::Cpu => Processor::Cpu,
+        Device::Cuda => Processor::Cuda,
+        Device::Wgpu => Processor::Wgpu,
+    };
+    let compute = Compute::new(processor, threads)?;
     let pool = objects::Training::new(trainer.recipe.resolution, trainer.recipe.softness);
     let scenes = objects::validation(args.validation_objects, trainer.recipe.resolution);
     eprintln!(
@@ -193,13 +210,13 @@ fn policy(args: &Policy) -> anyhow::Result<ExitCode> {
     bar.reset_eta();
     while !trainer.done() {
         let before = Instant::now();
-        let report = trainer.update(&pool, threads).map_err(anyhow::Error::msg)?;
+        let report = trainer.update(&pool, &compute).map_err(anyhow::Error::msg)?;
         let seconds = Some((before.elapsed().as_secs_f64() * 1e3).round() / 1e3);
         log.write(&Line { report: Some(report), seconds, validation: None, baselines: None })?;
         bar.inc(1);
         let due = trainer.step.is_multiple_of(args.validate_every) || trainer.done();
         if due {
-            let found = validate::policy(&trainer.weights, &scenes, trainer.recipe.blank, threads);
+            let found = validate::policy(&trainer.weights, &scenes, trainer.recipe.blank, &compute);
             let better = trainer.validated(found.degrees.last());
             let after = trainer.step;
             let [a, b, c] = found.degrees.0;
