@@ -57,6 +57,8 @@ import { mountSettings } from "./settings_panel.js";
 
 /** The solver whose error is not known after every light of a run: it takes seconds. */
 const SLOW = "pixel";
+/** The planner that is shown after the first run. */
+const OURS = "coil";
 /** A step that is no longer wanted need not end at once: a new worker would have to open the object again. */
 const VIEW_PATIENCE_MS = 2000;
 
@@ -276,8 +278,10 @@ function makeActions(page, store) {
       } finally {
         if (running.signal === signal) {
           store.update({ running: null });
+          // The first thing to see is there at once, of a planner that needs no network; then ours, if nobody looks at something else.
+          if (following && shown.planner === "" && store.state.shown.planner === planner && store.state.runs.has(OURS)) actions.show({ planner: OURS });
           // For learned planners the worker changes to the build that has them, and what was shown goes with the other one.
-          if (store.state.view && settings.planners.some(name => name in LEARNED)) refresh();
+          else if (store.state.view && settings.planners.some(name => name in LEARNED)) refresh();
         }
       }
     },

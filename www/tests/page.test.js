@@ -79,6 +79,8 @@ test("the page begins with an object, solved, without a file or a click", async 
     for (const row of rows) assert.match(row[2], /^\d+\.\d\d°$/);
     assert.equal(await page.locator(".dome .light").count(), 10);
     assert.equal(await page.locator(".chart .series").count(), rows.length);
+    const shown = learned ? "coil" : "dc05v";
+    await page.waitForFunction(name => /** @type {HTMLSelectElement} */ (document.querySelector("#dome select.planner")).value === name, shown);
   });
 });
 
