@@ -1,21 +1,23 @@
 //! `coil render`: stacks of synthetic objects in DiLiGenT's layout.
 
+mod bench;
+mod lights;
+mod shards;
+
 use crate::output;
 use anyhow::{Context, bail};
 use clap::ValueEnum;
-use coil_ps::dataset::{lp, write_object};
+use coil_ps::dataset::write_object;
 use coil_ps::image::encode_rgb;
-use coil_ps::light::{fibonacci_hemisphere, ring};
 use coil_ps::render::worlds::{self, Object, Split};
 use coil_ps::render::{Finish, Material, Mesh, Options, Pose, Scene, Sensor, Shape, Tracer, sensor};
 use coil_ps::rng::Rng;
 use coil_ps::stack::BitDepth;
 use glam::Vec3;
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
+use shards::{Fnv, Manifest, Rendered};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::time::Instant;
 
 /// Render objects under many lights, as folders in DiLiGenT's layout.
 ///
@@ -90,35 +92,9 @@ enum Shadows {
     Map,
 }
 
-/// What a run wrote, kept beside the objects (`render.json`, of a shard `render-I-of-N.json`).
-#[derive(Debug, Serialize, Deserialize)]
-struct Manifest {
-    version: String,
-    objects: Vec<String>,
-    lights: Vec<[f32; 3]>,
-    size: u32,
-    bounces: u32,
-    seed: u64,
-    sensor: Sensor,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    shard: Option<[usize; 2]>,
-    /// All that the command was asked for: equal in the shards of one set.
-    request: Vec<String>,
-    rendered: Vec<Rendered>,
-}
-
-#[derive(Debug, Serialize, Deserialize)]
-struct Rendered {
-    name: String,
-    images: usize,
-    pixels: usize,
-    /// FNV-1a of all files, in hexadecimal.
-    checksum: String,
-}
-
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     if args.bench {
-        return bench(&args);
+        return bench::bench(args.material.as_deref(), args.json);
     }
     if args.objects.is_empty() {
         bail!("what to render? a mesh file, blob:7, worlds-v1; see coil render --help");
@@ -128,13 +104,13 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     }
     let out = args.out.clone().context("--out DIR says where to write")?;
     if args.merge {
-        return merge(&args.objects, &out, args.json);
+        return shards::merge(&args.objects, &out, args.json);
     }
     if args.white.is_some_and(|w| !(w > 0.0 && w.is_finite())) {
         bail!("--white must be a number above 0");
     }
-    let shard = args.shard.as_deref().map(shard).transpose()?;
-    let lights = lights(&args.lights)?;
+    let shard = args.shard.as_deref().map(shards::shard).transpose()?;
+    let lights = lights::lights(&args.lights)?;
     let sensor = match args.sensor {
         SensorName::Ideal => Sensor::IDEAL,
         SensorName::Camera => Sensor::CAMERA,
@@ -223,22 +199,12 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         None => "render.json".into(),
     };
     output::write_json(&out.join(file), &manifest)?;
-    report(&manifest, &out, total, args.json)
-}
-
-fn report(manifest: &Manifest, out: &Path, total: usize, json: bool) -> anyhow::Result<ExitCode> {
-    if json {
-        output::write_json(Path::new("-"), manifest)?;
-    } else {
-        let images: usize = manifest.rendered.iter().map(|r| r.images).sum();
-        println!("{} of {total} objects, {images} images: {}", manifest.rendered.len(), out.display());
-    }
-    Ok(ExitCode::SUCCESS)
+    shards::report(&manifest, &out, total, args.json)
 }
 
 /// Every object under the first light, side by side, each at its own exposure, gamma 2.2.
 fn sheet(args: &Args, file: &Path) -> anyhow::Result<ExitCode> {
-    let light = lights(&args.lights)?[0];
+    let light = lights::lights(&args.lights)?[0];
     let options = Options { size: args.size, bounces: args.bounces, ..Options::default() };
     let mut jobs = Vec::new();
     for name in &args.objects {
@@ -314,274 +280,4 @@ fn objects(name: &str, args: &Args) -> anyhow::Result<Vec<(Object, Option<Pose>)
 /// Whether a name stands for objects that have their own materials and poses.
 fn is_set(name: &str) -> bool {
     [worlds::NAME, "worlds-train", "worlds-validate"].contains(&name.split(':').next().unwrap_or_default())
-}
-
-/// Light directions of all `--lights` together.
-fn lights(texts: &[String]) -> anyhow::Result<Vec<Vec3>> {
-    let mut all = Vec::new();
-    for text in texts {
-        all.extend(light_set(text)?);
-    }
-    if all.is_empty() {
-        bail!("--lights names no light");
-    }
-    Ok(all)
-}
-
-fn light_set(text: &str) -> anyhow::Result<Vec<Vec3>> {
-    let vector = |line: &str, split: fn(char) -> bool, place: &str| -> anyhow::Result<Vec3> {
-        let numbers: Vec<f32> = line
-            .split(split)
-            .filter(|w| !w.is_empty())
-            .map(|w| w.trim().parse())
-            .collect::<Result<_, _>>()
-            .with_context(|| format!("{place}: '{line}'"))?;
-        let [x, y, z] = numbers[..] else { bail!("{place}: '{line}': a direction is three numbers") };
-        let v = Vec3::new(x, y, z);
-        if !(v.is_finite() && v.length() > 1e-6 && z >= 0.0) {
-            bail!("{place}: '{line}': a direction towards a light has z ≥ 0 and is not zero");
-        }
-        Ok(v.normalize())
-    };
-    let parts: Vec<&str> = text.split(':').collect();
-    match parts[..] {
-        ["fibonacci", k] => {
-            let k: usize = k.parse().with_context(|| format!("--lights {text}"))?;
-            return Ok(fibonacci_hemisphere(k));
-        }
-        ["ring", k, slant] => {
-            let (k, slant): (usize, f32) = (k.parse()?, slant.parse()?);
-            if !(slant > 0.0 && slant <= 90.0) {
-                bail!("--lights {text}: the slant lies in (0, 90] degrees");
-            }
-            return Ok(ring(k, slant.to_radians(), 0.0));
-        }
-        _ => {}
-    }
-    if text.matches(',').count() == 2 && !Path::new(text).exists() {
-        return Ok(vec![vector(text, |c| c == ',', "--lights")?]);
-    }
-    let bytes = std::fs::read(text).with_context(|| {
-        format!("--lights {text}: write fibonacci:K, ring:K:SLANT, x,y,z or the name of a .lp or text file")
-    })?;
-    if text.to_ascii_lowercase().ends_with(".lp") {
-        return Ok(lp::read_lp(&bytes, text)?.into_iter().map(|l| l.1).collect());
-    }
-    let content = String::from_utf8_lossy(&bytes);
-    let lines = content.lines().enumerate().filter(|(_, l)| !l.trim().is_empty());
-    lines.map(|(i, l)| vector(l, char::is_whitespace, &format!("{text}:{}", i + 1))).collect()
-}
-
-fn shard(text: &str) -> anyhow::Result<[usize; 2]> {
-    let parsed = text.split_once('/').and_then(|(i, n)| Some([i.parse().ok()?, n.parse().ok()?]));
-    match parsed {
-        Some([i, n]) if i >= 1 && i <= n => Ok([i, n]),
-        _ => bail!("--shard {text}: write I/N with 1 ≤ I ≤ N, as 3/8"),
-    }
-}
-
-/// Joins the folders of all shards of one set.
-fn merge(folders: &[String], out: &Path, json: bool) -> anyhow::Result<ExitCode> {
-    let mut shards: Vec<(PathBuf, Manifest)> = Vec::new();
-    for folder in folders {
-        for entry in std::fs::read_dir(folder).with_context(|| folder.clone())? {
-            let path = entry?.path();
-            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            if name.starts_with("render-") && name.ends_with(".json") {
-                let text = std::fs::read_to_string(&path)?;
-                let manifest = serde_json::from_str(&text).with_context(|| path.display().to_string())?;
-                shards.push((PathBuf::from(folder), manifest));
-            }
-        }
-    }
-    shards.sort_by_key(|s| s.1.shard);
-    let Some((_, first)) = shards.first() else {
-        bail!("no render-I-of-N.json in {}: are these folders of --shard runs?", folders.join(", "))
-    };
-    let of = first.shard.map_or(1, |s| s[1]);
-    let same = |m: &Manifest| {
-        (m.request == first.request, m.size, m.bounces, m.seed, m.sensor, &m.lights, m.shard.map(|s| s[1]))
-            == (true, first.size, first.bounces, first.seed, first.sensor, &first.lights, Some(of))
-    };
-    if let Some((folder, _)) = shards.iter().find(|s| !same(&s.1)) {
-        bail!("{}: rendered with other settings than {}", folder.display(), shards[0].0.display());
-    }
-    let parts: Vec<usize> = shards.iter().filter_map(|s| Some(s.1.shard?[0])).collect();
-    if let Some(missing) = (1..=of).find(|part| !parts.contains(part)) {
-        bail!("shard {missing}/{of} is missing");
-    }
-    if let Some(twice) = (1..=of).find(|part| parts.iter().filter(|p| *p == part).count() > 1) {
-        bail!("shard {twice}/{of} is there twice");
-    }
-    let mut rendered = Vec::new();
-    for (folder, manifest) in &mut shards {
-        for object in std::mem::take(&mut manifest.rendered) {
-            let (from, to) = (folder.join(&object.name), out.join(&object.name));
-            if from != to {
-                std::fs::create_dir_all(&to).with_context(|| to.display().to_string())?;
-                for file in std::fs::read_dir(&from).with_context(|| from.display().to_string())? {
-                    let file = file?;
-                    std::fs::copy(file.path(), to.join(file.file_name()))?;
-                }
-            }
-            rendered.push(object);
-        }
-    }
-    rendered.sort_by(|a, b| a.name.cmp(&b.name));
-    let total = rendered.len();
-    let manifest = Manifest { shard: None, rendered, ..shards.swap_remove(0).1 };
-    output::write_json(&out.join("render.json"), &manifest)?;
-    report(&manifest, out, total, json)
-}
-
-/// FNV-1a.
-struct Fnv(u64);
-
-impl Fnv {
-    fn new() -> Self {
-        Self(0xcbf2_9ce4_8422_2325)
-    }
-
-    fn add(&mut self, bytes: &[u8]) {
-        for &b in bytes {
-            self.0 = (self.0 ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3);
-        }
-    }
-}
-
-/// One line of the speed table.
-#[derive(Serialize)]
-struct Speed {
-    object: String,
-    triangles: usize,
-    size: u32,
-    pixels: usize,
-    /// Once an object: G-buffer and horizon map, seconds.
-    prepare_seconds: f64,
-    /// With form factors too.
-    prepare_bounce_seconds: f64,
-    /// Direct light with cast shadows, images a second, one thread.
-    direct_images_per_second: f64,
-    /// With one bounce.
-    bounce_images_per_second: f64,
-    /// Shadows by rays instead, images a second, one thread.
-    traced_images_per_second: f64,
-    /// A stack of 96 images with a bounce, from shape to code values, seconds; images on all threads.
-    stack_of_96_seconds: f64,
-}
-
-/// A sphere of about `triangles` triangles with ripples, so that it shades itself.
-fn rippled_sphere(triangles: usize) -> anyhow::Result<Shape> {
-    let rings = ((triangles as f64 / 4.0).sqrt() as u32).max(4);
-    let spokes = 2 * rings;
-    let mut positions = Vec::new();
-    let mut faces = Vec::new();
-    for i in 0..=rings {
-        for j in 0..spokes {
-            let (s, c) = (std::f32::consts::PI * i as f32 / rings as f32).sin_cos();
-            let (sa, ca) = (std::f32::consts::TAU * j as f32 / spokes as f32).sin_cos();
-            let d = Vec3::new(s * ca, s * sa, c);
-            positions.push(d * (1.0 + 0.06 * (12.0 * d.x).sin() * (12.0 * d.y).sin() * (12.0 * d.z).cos()));
-            if i < rings {
-                let at = |i: u32, j: u32| i * spokes + j % spokes;
-                faces.push([at(i, j), at(i + 1, j), at(i + 1, j + 1)]);
-                faces.push([at(i, j), at(i + 1, j + 1), at(i, j + 1)]);
-            }
-        }
-    }
-    Ok(Shape::Mesh(Mesh::new(positions, &faces)?))
-}
-
-fn bench(args: &Args) -> anyhow::Result<ExitCode> {
-    let material: Material = args.material.as_deref().unwrap_or(worlds::MATERIAL).parse()?;
-    let mut cases: Vec<(String, usize, u32)> = vec![("blob:7".into(), 0, 128)];
-    cases.extend([1_000, 10_000, 100_000, 1_000_000].map(|n| ("rippled sphere".to_string(), n, 128)));
-    cases.extend([64, 256].map(|size| ("rippled sphere".to_string(), 100_000, size)));
-    let mut rows = Vec::new();
-    let bar = output::progress(cases.len(), "cases");
-    for (object, triangles, size) in cases {
-        let shape = if triangles == 0 {
-            worlds::objects(&object)?.remove(0).shape
-        } else {
-            rippled_sphere(triangles)?
-        };
-        let pose = Pose::fit(&shape, shape.front())?;
-        let finish = Finish::from(material.clone());
-        let prepare = |bounces| {
-            let start = Instant::now();
-            let options = Options { size, bounces, ..Options::default() };
-            let scene = Scene::new(&object, &shape, &pose, &finish, &options);
-            scene.map(|s| (s, start.elapsed().as_secs_f64()))
-        };
-        let (direct, prepare_seconds) = prepare(0)?;
-        let (bounce, prepare_bounce_seconds) = prepare(1)?;
-        // The best of five: other work on the machine only ever makes it slower.
-        let rate = |images: usize, f: &mut dyn FnMut(Vec3)| {
-            let lights = fibonacci_hemisphere(images);
-            let best = (0..5)
-                .map(|_| {
-                    let start = Instant::now();
-                    lights.iter().for_each(|&l| f(l));
-                    start.elapsed().as_secs_f64()
-                })
-                .fold(f64::INFINITY, f64::min);
-            images as f64 / best
-        };
-        let mut kept = 0.0;
-        let mut keep = |image: Vec<[f32; 3]>| kept += image[0][0];
-        let direct_images_per_second = rate(40, &mut |l| keep(direct.render(l)));
-        let bounce_images_per_second = rate(40, &mut |l| keep(bounce.render(l)));
-        let tracer = Tracer::new(&shape, &pose);
-        let traced_images_per_second = rate(2, &mut |l| {
-            std::hint::black_box(tracer.visibility(&direct.view, l));
-        });
-        std::hint::black_box(kept);
-        let start = Instant::now();
-        let white = sensor::white_level(&bounce, sensor::SATURATED);
-        let photo = |&l: &Vec3| sensor::photo(&bounce.render(l), white, &Sensor::IDEAL, 1, 0).len();
-        let done: usize = fibonacci_hemisphere(96).par_iter().map(photo).sum();
-        std::hint::black_box(done);
-        let stack_of_96_seconds = prepare_bounce_seconds + start.elapsed().as_secs_f64();
-        let triangles = match &shape {
-            Shape::Mesh(mesh) => mesh.triangles.len(),
-            Shape::Sculpture(_) => 0,
-        };
-        rows.push(Speed {
-            object,
-            triangles,
-            size,
-            pixels: direct.view.mask.len(),
-            prepare_seconds,
-            prepare_bounce_seconds,
-            direct_images_per_second,
-            bounce_images_per_second,
-            traced_images_per_second,
-            stack_of_96_seconds,
-        });
-        bar.inc(1);
-    }
-    bar.finish_and_clear();
-    if args.json {
-        output::write_json(Path::new("-"), &rows)?;
-        return Ok(ExitCode::SUCCESS);
-    }
-    let head =
-        "object|triangles|size|pixels|prepare s|with bounce s|direct/s|with bounce/s|traced/s|96 images s";
-    let mut lines = vec![head.split('|').map(str::to_string).collect::<Vec<_>>()];
-    for r in &rows {
-        lines.push(vec![
-            r.object.clone(),
-            r.triangles.to_string(),
-            r.size.to_string(),
-            r.pixels.to_string(),
-            format!("{:.2}", r.prepare_seconds),
-            format!("{:.2}", r.prepare_bounce_seconds),
-            format!("{:.0}", r.direct_images_per_second),
-            format!("{:.0}", r.bounce_images_per_second),
-            format!("{:.1}", r.traced_images_per_second),
-            format!("{:.2}", r.stack_of_96_seconds),
-        ]);
-    }
-    print!("{}", output::align(&lines));
-    Ok(ExitCode::SUCCESS)
 }
