@@ -49,6 +49,11 @@ fn what_is_rendered_can_be_evaluated() {
     good(&[&["render", "sphere", "blob:3+nylon", "--out", text(&out)][..], &lights].concat());
     let table = good(&["eval", text(&out), "--planner", "all", "--draws", "1"]);
     assert!(table.contains("sphere") && table.contains("blob-3-nylon"), "{table}");
+    // The lights of an object that is there already.
+    let (object, again) = (out.join("sphere"), folder("same-lights"));
+    good(&["render", "bowl", "--lights", text(&object), "--size", "16", "--out", text(&again)]);
+    let lights = |object: &Path| std::fs::read_to_string(object.join("light_directions.txt")).unwrap();
+    assert_eq!(lights(&again.join("bowl")), lights(&object));
 }
 
 #[test]

@@ -28,7 +28,8 @@ use std::process::ExitCode;
 pub struct Args {
     /// What to render; with --merge, the folders of the shards.
     objects: Vec<String>,
-    /// Lights: fibonacci:K, ring:K:SLANT (degrees), a .lp file, a text file with x y z a line, or x,y,z (repeatable).
+    /// Lights: fibonacci:K, ring:K:SLANT (degrees), a .lp file, a text file with x y z a line, the folder of a DiLiGenT object, or
+    /// x,y,z (repeatable).
     #[arg(long, default_value = "fibonacci:100", allow_hyphen_values = true)]
     lights: Vec<String>,
     /// Material: a name of models/materials/abc.json, lambert:ALBEDO, ggx:ALPHA:F0, or random (a training material, perhaps

@@ -4,7 +4,7 @@ use anyhow::{Context, bail};
 use coil_ps::dataset::lp;
 use coil_ps::light::{fibonacci_hemisphere, ring};
 use glam::Vec3;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Light directions of all `--lights` together.
 pub fn lights(texts: &[String]) -> anyhow::Result<Vec<Vec3>> {
@@ -51,13 +51,18 @@ fn light_set(text: &str) -> anyhow::Result<Vec<Vec3>> {
     if text.matches(',').count() == 2 && !Path::new(text).exists() {
         return Ok(vec![vector(text, |c| c == ',', "--lights")?]);
     }
-    let bytes = std::fs::read(text).with_context(|| {
-        format!("--lights {text}: write fibonacci:K, ring:K:SLANT, x,y,z or the name of a .lp or text file")
+    let mut file = PathBuf::from(text);
+    if file.is_dir() {
+        file.push("light_directions.txt");
+    }
+    let bytes = std::fs::read(&file).with_context(|| {
+        format!("--lights {text}: write fibonacci:K, ring:K:SLANT, x,y,z or the name of a .lp or text file or an object's folder")
     })?;
-    if text.to_ascii_lowercase().ends_with(".lp") {
-        return Ok(lp::read_lp(&bytes, text)?.into_iter().map(|l| l.1).collect());
+    let name = file.to_string_lossy();
+    if name.to_ascii_lowercase().ends_with(".lp") {
+        return Ok(lp::read_lp(&bytes, &name)?.into_iter().map(|l| l.1).collect());
     }
     let content = String::from_utf8_lossy(&bytes);
     let lines = content.lines().enumerate().filter(|(_, l)| !l.trim().is_empty());
-    lines.map(|(i, l)| vector(l, char::is_whitespace, &format!("{text}:{}", i + 1))).collect()
+    lines.map(|(i, l)| vector(l, char::is_whitespace, &format!("{name}:{}", i + 1))).collect()
 }
