@@ -2,12 +2,14 @@
 
 use super::hdr::{Crop, Exposure};
 use super::sphere::Circle;
+use crate::arm::kinematics::Mount;
 use crate::camera::{Camera, CameraError, Observation, check_direction};
 use crate::image::Image;
 use crate::light;
 use crate::rng::Rng;
 use crate::stack::{BitDepth, Mask};
 use glam::{Vec2, Vec3};
+use std::fmt;
 
 /// A linear sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -64,6 +66,42 @@ impl Sensor {
         let rgb = scene.iter().map(|c| c.map(&mut code)).collect();
         let image = Image { width, height, bits: BitDepth::Sixteen, rgb };
         Exposure { image, seconds, black: self.black, white: self.white() }
+    }
+}
+
+/// What a simulated camera sees, as `session.json` says it ("sim OBJECT+MATERIAL SIZE AZIMUTH SLANT TILT TILT"): enough to
+/// go on with the session anywhere.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SimulatedView {
+    /// Sculpture.
+    pub object: String,
+    /// Its material.
+    pub material: String,
+    /// Side of the picture, pixels.
+    pub size: u32,
+    /// How the arm really stands.
+    pub mount: Mount,
+}
+
+impl fmt::Display for SimulatedView {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let Mount { azimuth, slant, tilt: [x, y] } = self.mount;
+        write!(f, "sim {}+{} {} {azimuth} {slant} {x} {y}", self.object, self.material, self.size)
+    }
+}
+
+impl SimulatedView {
+    /// Of a record's camera; none if that is no simulated one.
+    #[must_use]
+    pub fn parse(camera: &str) -> Option<Self> {
+        let mut words = camera.strip_prefix("sim ")?.split(' ');
+        let (object, material) = words.next()?.split_once('+')?;
+        let size = words.next()?.parse().ok()?;
+        let angles: Option<Vec<f64>> =
+            words.map(|w| w.parse().ok().filter(|a: &f64| a.is_finite())).collect();
+        let [azimuth, slant, x, y] = angles?.try_into().ok()?;
+        let mount = Mount { azimuth, slant, tilt: [x, y] };
+        Some(Self { object: object.into(), material: material.into(), size, mount })
     }
 }
 
@@ -316,6 +354,23 @@ pub fn misplacement(truth: Vec3, recorded: Vec3) -> f64 {
 mod tests {
     use super::*;
     use crate::rig::sphere::{find_outline, measure, values};
+
+    #[test]
+    fn what_a_simulated_camera_sees_is_read_back_as_written() {
+        let mount = Mount { azimuth: 4.0, slant: -2.0, tilt: [1.5, -1.0] };
+        let view = SimulatedView { object: "blob:7".into(), material: "lambert:0.8".into(), size: 96, mount };
+        assert_eq!(SimulatedView::parse(&view.to_string()), Some(view));
+        for other in [
+            "sim",
+            "folder:/cam",
+            "frames of the page",
+            "sim blob:7 96",
+            "sim a+b 96 1 2 3",
+            "sim a+b 9 1 2 3 NaN",
+        ] {
+            assert_eq!(SimulatedView::parse(other), None, "{other}");
+        }
+    }
 
     #[test]
     fn the_simulated_mirror_sphere_shows_the_light() {

@@ -115,6 +115,15 @@ pub struct Record {
     pub arm: Arm,
     /// Whether directions are multiples of a full exposure's value: 1 is full scale at this exposure, seconds.
     pub unit_exposure: f64,
+    /// LED brightness, spindle speed S.
+    #[serde(default)]
+    pub brightness: Option<f64>,
+    /// Largest slant that the planner may ask for, degrees.
+    #[serde(default)]
+    pub reach: Option<f32>,
+    /// By how much a light may be moved to save travel, degrees.
+    #[serde(default)]
+    pub nearby: Option<f32>,
     /// Lights so far, in order.
     pub shots: Vec<Shot>,
     /// Faults and what was done, in order.
@@ -187,6 +196,15 @@ pub fn encode_shot(number: usize, codes: &[[u16; 3]], mask: &Mask) -> Result<(Wr
 }
 
 impl Record {
+    /// Whether both are of the same session, one perhaps some lights further: the same plan, and the images of one are
+    /// the first ones of the other.
+    #[must_use]
+    pub fn same_session(&self, other: &Self) -> bool {
+        (&self.object, &self.planner, self.seed, self.lights)
+            == (&other.object, &other.planner, other.seed, other.lights)
+            && self.shots.iter().zip(&other.shots).all(|(a, b)| a.crc32 == b.crc32)
+    }
+
     /// What the mirror sphere showed, for [`super::calibration::fit_mount`].
     #[must_use]
     pub fn sightings(&self) -> Vec<Sighting> {
@@ -212,6 +230,9 @@ impl Record {
             sphere: None,
             arm,
             unit_exposure: 0.0,
+            brightness: None,
+            reach: None,
+            nearby: None,
             shots: Vec::new(),
             notes: Vec::new(),
         }
@@ -397,6 +418,23 @@ mod tests {
                 assert!((f32::from(code[1]) / 65535.0 / stack.intensities[k][1] - value[1]).abs() < 1e-6);
             }
         }
+    }
+
+    #[test]
+    fn a_session_is_known_again_further_on() {
+        let (writes, ..) = session();
+        let records: Vec<Record> = writes
+            .iter()
+            .filter(|w| w.name == RECORD)
+            .map(|w| serde_json::from_slice(&w.bytes).unwrap())
+            .collect();
+        let (first, last) = (&records[1], records.last().unwrap());
+        assert!(first.same_session(last) && last.same_session(first) && records[0].same_session(last));
+        let mut other = last.clone();
+        other.shots[2].crc32 ^= 1;
+        assert!(first.same_session(&other) && !last.same_session(&other));
+        other = Record { seed: 2, ..last.clone() };
+        assert!(!last.same_session(&other));
     }
 
     #[test]

@@ -11,7 +11,7 @@ use crate::light;
 use crate::planner::{self, Setup};
 use crate::render::{self, Material, Options as SceneOptions, Pose, Scene, SceneCamera};
 use crate::rig::calibration::fit_mount;
-use crate::rig::camera::{Average, Sensor, SimulatedCamera};
+use crate::rig::camera::{Average, Sensor, SimulatedCamera, SimulatedView};
 use crate::rig::capture::{Action, Capture, Options, Stuck};
 use crate::rig::drawing::{self, preview};
 use crate::rig::hdr::{Crop, Exposure, merge, threshold_level, threshold_mask};
@@ -136,6 +136,13 @@ impl SessionFiles {
         write_zip(&files).map_err(fail)
     }
 
+    /// Whether `other` is the same session, perhaps some lights behind or ahead.
+    #[wasm_bindgen(js_name = isSame)]
+    pub fn is_same(&self, other: &SessionFiles) -> bool {
+        let record = |files: &Self| store::resume(|n| files.0.get(n).cloned()).map(|r| r.record);
+        matches!((record(self), record(other)), (Ok(a), Ok(b)) if a.same_session(&b))
+    }
+
     /// What the session is, or why it is none.
     #[wasm_bindgen(
         unchecked_return_type = "{ object: string; planner: string; simulated: boolean; lights: number; taken: number; damaged: string[] }"
@@ -145,7 +152,7 @@ impl SessionFiles {
         plain(&Summary {
             object: r.record.object,
             planner: r.record.planner,
-            simulated: r.record.camera.starts_with("sim "),
+            simulated: SimulatedView::parse(&r.record.camera).is_some(),
             lights: r.record.lights,
             taken: r.seen.len(),
             damaged: r.damaged,
@@ -343,6 +350,7 @@ struct Doing {
     doing: &'static str,
     number: usize,
     index: usize,
+    exposures: usize,
     taken: usize,
     lights: usize,
     requested: Option<Vec3>,
@@ -428,7 +436,7 @@ fn cut(mask: &Mask) -> Result<(Crop, Mask), JsError> {
 
 #[wasm_bindgen]
 impl Rig {
-    /// Starts a capture; with `files` it goes on with that session, and of the settings only those of the rig count.
+    /// Starts a capture; with `files` it goes on with that session, and what its record says counts before the settings.
     /// `mask` is needed for frames: the pixels of the object in the whole picture.
     #[wasm_bindgen(js_name = startCapture)]
     pub fn start_capture(
@@ -494,7 +502,10 @@ impl Rig {
                 let seed = wanted.seed.into();
                 let mut record =
                     Record::new(&wanted.object, &wanted.planner, seed, wanted.lights, self.arm.clone());
-                record.camera = wanted.described();
+                record.camera = wanted.view().map_or_else(|| "frames of the page".into(), |v| v.to_string());
+                record.brightness = Some(wanted.brightness);
+                record.reach = Some(wanted.reach);
+                record.nearby = wanted.nearby;
                 record.firmware = format!("Grbl {}", self.link.version());
                 record.crop = crop;
                 record.sphere = match &simulation {
@@ -543,6 +554,7 @@ impl Rig {
         let plan = capture.current_plan();
         let mut doing = Doing {
             doing: capture.doing(),
+            exposures: capture.options().exposures.len(),
             taken: capture.session().seen().len(),
             lights: capture.session().lights(),
             requested: plan.map(|p| p.requested),
@@ -731,30 +743,28 @@ impl Settings {
         let r = &resumed.record;
         (self.planner, self.lights, self.seed) = (r.planner.clone(), r.lights, r.seed as u32);
         self.object.clone_from(&r.object);
+        self.brightness = r.brightness.unwrap_or(self.brightness);
+        if let Some(reach) = r.reach {
+            (self.reach, self.nearby) = (reach, r.nearby);
+        }
         if let Some(shot) = r.shots.first() {
             self.exposures = shot.exposures.iter().map(|s| s * 1000.0).collect();
         }
         self.camera = "frames".into();
         self.sphere = r.sphere;
-        // "sim OBJECT+MATERIAL SIZE", and how the arm stands.
-        let mut words = r.camera.split(' ');
-        if words.next() == Some("sim")
-            && let (Some((object, material)), Some(Ok(size))) =
-                (words.next().and_then(|w| w.split_once('+')), words.next().map(str::parse))
-        {
+        if let Some(view) = SimulatedView::parse(&r.camera) {
             self.camera = "sim".into();
-            (self.object, self.material, self.size) = (object.into(), material.into(), size);
-            let angles: Vec<f64> = words.filter_map(|w| w.parse().ok()).collect();
-            self.misaligned = angles.try_into().unwrap_or_default();
+            let Mount { azimuth, slant, tilt: [x, y] } = view.mount;
+            (self.object, self.material, self.size) = (view.object, view.material, view.size);
+            self.misaligned = [azimuth, slant, x, y];
         }
     }
 
-    fn described(&self) -> String {
-        if self.camera != "sim" {
-            return "frames of the page".into();
-        }
-        let [a, s, x, y] = self.misaligned;
-        format!("sim {}+{} {} {a} {s} {x} {y}", self.object, self.material, self.size)
+    fn view(&self) -> Option<SimulatedView> {
+        let [azimuth, slant, x, y] = self.misaligned;
+        let mount = Mount { azimuth, slant, tilt: [x, y] };
+        let (object, material) = (self.object.clone(), self.material.clone());
+        (self.camera == "sim").then_some(SimulatedView { object, material, size: self.size, mount })
     }
 
     fn simulation(&self) -> Result<Simulation, JsError> {

@@ -44,7 +44,8 @@
  *   | { name: "raw", line: string }} Order
  *
  * @typedef {object} Calls
- * @property {{ body: { arm: string | null }, reply: { limits: number[], session: Stored | null } }} start
+ * @property {{ body: { arm: string | null }, reply: { limits: number[], session: Stored | null, folder: FileSystemDirectoryHandle | null } }} start
+ *   folder: where the session lay, before a reload
  * @property {{ body: { rig: MessagePort | null }, reply: void }} connect without a port: the simulated arm
  * @property {{ body: {}, reply: void }} disconnect
  * @property {{ body: { sent: boolean }, reply: void }} stop sent: its bytes went out already
@@ -61,7 +62,9 @@
  * @property {{ body: {}, reply: { mount: number[], before: number, after: number, count: number, arm: string } }} fit
  * @property {{ body: {}, reply: void }} unfit the arm as it is drawn
  * @property {{ body: { azimuth: number, slant: number }, reply: Picture | null }} relight
- * @property {{ body: { folder: FileSystemDirectoryHandle | null }, reply: void }} keep also saves to that folder
+ * @property {{ body: { folder: FileSystemDirectoryHandle | null, settings: CaptureSettings },
+ *   reply: { session: Stored | null, shown: { object: string, taken: number, lights: number } | null } }} keep
+ *   also saves to that folder; a session that lies there is shown, and goes on with `begin`
  * @property {{ body: {}, reply: ArrayBuffer }} zip
  *
  * @typedef {keyof Calls} Kind
@@ -71,7 +74,8 @@
  *
  * The arm and the capture, whenever something changed.
  * @typedef {{ type: "state", shown: Record<string, any>, said: Said[], findings: Said[] | null, wanted: boolean,
- *   mode: "idle" | "auto" | "one", progress: string | null, target: Direction | null }} State
+ *   mode: "idle" | "auto" | "one", progress: string | null, target: Direction | null,
+ *   folder: string | null }} State
  *
  * What a light brought.
  * @typedef {{ type: "taken", lights: LightTaken[], photo: Picture | null, normals: Picture | null, relit: Picture | null,

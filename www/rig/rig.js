@@ -64,6 +64,8 @@ export async function mount(root, page) {
   let gave = () => {};
   /** @type {import("./messages.js").Stored | null} */
   let stored = null;
+  /** The session's folder before the reload: the browser asks on a click whether it may be used again. @type {FileSystemDirectoryHandle | null} */
+  let former = null;
   /** @type {string[]} */
   const log = [];
 
@@ -122,6 +124,8 @@ export async function mount(root, page) {
     text(".rd-slant", s.slant === null ? "–" : `${s.slant.toFixed(2)}°`);
     text(".rd-trust", s.phase === "closed" ? "–" : { homed: "known, homed", assumed: "counted from where it was switched on", lost: "lost: home the arm" }[/** @type {"homed"} */ (s.trust)]);
     text(".rd-led", s.led === null ? "–" : s.led ? `S${s.led}` : "off");
+    text(".rig-folder", told.folder === null ? "Save to a folder…" : `Also saved to “${told.folder}”`);
+    $(".rig-no-folder").hidden = told.folder === null;
     text(".rig-connect", wanted || s.phase !== "closed" ? "Disconnect" : "Connect");
     if (told.findings) {
       $(".rig-findings").replaceChildren(...told.findings.map(f => html("li", { class: f.kind === "error" ? "rig-bad" : "note" }, f.text)));
@@ -166,8 +170,9 @@ export async function mount(root, page) {
   function offer(session) {
     stored = session;
     const again = button(".rig-continue");
-    again.hidden = !session;
-    if (session) again.textContent = `Continue (${session.taken} of ${session.lights} lights)`;
+    again.hidden = !session && !former;
+    const count = session ? ` (${session.taken} of ${session.lights} lights)` : "";
+    again.textContent = former ? `Continue session${count} in folder “${former.name}”` : `Continue${count}`;
   }
 
   // ---- the port ----
@@ -371,7 +376,10 @@ export async function mount(root, page) {
     if (given.length) gave();
   });
   on(".rig-pause", () => { $(".rig-ask").hidden = true; return client.call("pause", {}); });
-  on(".rig-continue", () => begin("auto", true));
+  on(".rig-continue", async () => {
+    if (former && !await openFormer(former)) return;
+    await begin("auto", true);
+  });
   on(".rig-copy", () => navigator.clipboard.writeText(log.join("\n")).catch(failed));
   $(".rig-type").addEventListener("submit", event => {
     event.preventDefault();
@@ -470,17 +478,43 @@ export async function mount(root, page) {
     await client.call("unfit", {});
     $(".rig-fitted").textContent = "The arm is taken to stand as it is drawn.";
   });
+  /** @param {FileSystemDirectoryHandle | null} folder */
+  async function keep(folder) {
+    const { session, shown } = await client.call("keep", { folder, settings: settings() });
+    former = null;
+    offer(session);
+    if (!shown) return;
+    const { object, taken, lights: all } = shown;
+    say(`“${folder?.name}” holds ${session ? "an unfinished" : "a complete"} session of “${object}”, ${taken} of ${all} lights: shown here.`);
+  }
+
+  /** Asks for the folder of before the reload. Without it the browser's own copy can go on. @param {FileSystemDirectoryHandle} folder */
+  async function openFormer(folder) {
+    say("");
+    try {
+      const answer = await /** @type {any} */ (folder).requestPermission({ mode: "readwrite" });
+      if (answer !== "granted") throw new Error("the browser was not allowed to use it");
+      await keep(folder);
+      return stored !== null;
+    } catch (error) {
+      former = null;
+      offer(stored);
+      const rest = stored ? "Continue goes on with the copy in this browser" : "There is no other copy in this browser";
+      say(`The folder “${folder.name}” can't be opened: ${explain(error)}. ${rest}; or choose the folder again.`);
+      return false;
+    }
+  }
+
   on(".rig-folder", async () => {
     try {
       const folder = await chooseFolder("readwrite", "rig-session");
       say(folder ? "" : "This browser can't write to folders, or none was chosen: the session stays in the browser, download it as zip.");
-      if (!folder) return;
-      await client.call("keep", { folder });
-      button(".rig-folder").textContent = `Also saved to “${folder.name}”`;
+      if (folder) await keep(folder);
     } catch (error) {
       say(explain(error));
     }
   });
+  on(".rig-no-folder", () => keep(null).catch(failed));
   on(".rig-zip", async () => {
     try {
       download(new Blob([await client.call("zip", {})], { type: "application/zip" }), "session.zip");
@@ -491,7 +525,7 @@ export async function mount(root, page) {
   addEventListener("pagehide", () => { host?.close(); webcam.close(); });
 
   if (serial()) portWorker = new Worker(new URL("port-worker.js", import.meta.url), { type: "module", name: "coil-ps-port" });
-  const { limits, session } = await client.call("start", { arm: localStorage.getItem(ARM_KEY) });
+  const { limits, session, folder } = await client.call("start", { arm: localStorage.getItem(ARM_KEY) });
   if (localStorage.getItem(ARM_KEY)) {
     $(".rig-fit").hidden = false;
     $(".rig-fitted").textContent = "The arm goes by the fit of an earlier session.";
@@ -502,5 +536,6 @@ export async function mount(root, page) {
   select(".rig-planner").replaceChildren(...catalogue.planners.filter(p => !p.oracle).map(p => html("option", { value: p.name, selected: p.name === "tk22" }, p.label)));
   select(".rig-solver").replaceChildren(...catalogue.solvers.filter(s => s.name !== "pixel").map(s => html("option", { value: s.name, selected: s.name === "trimmed", title: s.about }, s.name)));
   await listPorts();
+  former = folder;
   offer(session);
 }

@@ -2,6 +2,8 @@
 // replaced as a whole: `createWritable` writes aside and swaps at `close`. Runs in the rig's worker.
 
 const OWN = "rig-session";
+/** Names of a session's files: a folder of the user's may hold others. */
+const NAMES = /^(session\.json|mask\.png|\d{3,4}\.png|lights\.lp|(filenames|light_directions|light_intensities)\.txt|Normal_(gt|est)\.mat)$/;
 
 /** The browser's own storage for the one session under way. */
 export async function ownFolder() {
@@ -48,10 +50,27 @@ async function writeAside(folder, name, bytes) {
  */
 export async function read(folder, files) {
   for await (const [name, handle] of /** @type {any} */ (folder).entries()) {
-    if (handle.kind !== "file" || !/^[\w.]+$/.test(name)) continue;
+    if (handle.kind !== "file" || !NAMES.test(name)) continue;
     files.add(name, new Uint8Array(await (await handle.getFile()).arrayBuffer()));
   }
   return files;
+}
+
+/**
+ * Copies a session, its record last.
+ * @param {FileSystemDirectoryHandle} from
+ * @param {FileSystemDirectoryHandle} to
+ */
+export async function copy(from, to) {
+  const files = /** @type {{ name: string, bytes: Uint8Array }[]} */ ([]);
+  await read(from, { add: (name, bytes) => void files.push({ name, bytes }) });
+  await write(to, files.sort((a, b) => Number(a.name === "session.json") - Number(b.name === "session.json")));
+}
+
+/** @param {FileSystemDirectoryHandle} folder */
+export async function holdsSession(folder) {
+  for await (const name of /** @type {any} */ (folder).keys()) if (name === "session.json") return true;
+  return false;
 }
 
 /** @param {FileSystemDirectoryHandle} folder */
@@ -59,4 +78,33 @@ export async function clear(folder) {
   const names = [];
   for await (const name of /** @type {any} */ (folder).keys()) names.push(name);
   for (const name of names) await folder.removeEntry(name);
+}
+
+const DATABASE = "coil-ps-rig";
+const STORE = "folders";
+
+/** @param {IDBTransactionMode} mode @param {(store: IDBObjectStore) => IDBRequest<any>} ask @returns {Promise<any>} */
+async function database(mode, ask) {
+  const result = (/** @type {IDBRequest<any>} */ request) => new Promise((resolve, reject) => {
+    request.onsuccess = () => resolve(request.result);
+    request.onerror = () => reject(request.error);
+  });
+  const opening = indexedDB.open(DATABASE, 1);
+  opening.onupgradeneeded = () => opening.result.createObjectStore(STORE);
+  const opened = /** @type {IDBDatabase} */ (await result(opening));
+  try {
+    return await result(ask(opened.transaction(STORE, mode).objectStore(STORE)));
+  } finally {
+    opened.close();
+  }
+}
+
+/** Keeps the folder of the session under way over a reload, where the browser can; null: there is none. @param {FileSystemDirectoryHandle | null} folder */
+export async function remember(folder) {
+  await database("readwrite", store => folder ? store.put(folder, OWN) : store.delete(OWN)).catch(() => {});
+}
+
+/** @returns {Promise<FileSystemDirectoryHandle | null>} */
+export async function remembered() {
+  return await database("readonly", store => store.get(OWN)).catch(() => null) ?? null;
 }

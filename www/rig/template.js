@@ -47,7 +47,7 @@ export const TEMPLATE = `
       <div class="row"><button type="button" class="button primary rig-auto">Capture</button><button type="button" class="button rig-next">One light</button><button type="button" class="button rig-pause" disabled>Pause</button><button type="button" class="button rig-continue" hidden>Continue</button></div>
       <p class="rig-progress" role="status">The session is stored in this browser as it goes.</p>
       <p class="rig-ask" hidden><button type="button" class="button primary rig-give">Choose the images</button></p>
-      <div class="row"><button type="button" class="button small rig-folder">Save to a folder…</button><button type="button" class="button small rig-zip">Download zip</button></div>
+      <div class="row"><button type="button" class="button small rig-folder" title="An empty one, or one with a session to continue or to look at">Save to a folder…</button><button type="button" class="button small rig-no-folder" hidden>Not to a folder</button><button type="button" class="button small rig-zip">Download zip</button></div>
     </section>
     <section class="card rig-seen" aria-labelledby="rig-seen-title">
       <h2 id="rig-seen-title">Images and normals</h2>

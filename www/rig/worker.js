@@ -7,7 +7,7 @@ import * as core from "../pkg/core/coil_ps.js";
 import { LEARNED, loadFull } from "../learned.js";
 import { Port } from "./port.js";
 import { SimulatedPort } from "./simulated.js";
-import { clear, ownFolder, read, write } from "./storage.js";
+import { clear, copy, holdsSession, ownFolder, read, remember, remembered, write } from "./storage.js";
 
 /** @typedef {import("./messages.js").Calls} Calls */
 /** @typedef {import("./messages.js").Kind} Kind */
@@ -84,7 +84,7 @@ function show() {
   let findings = null;
   if (shown.phase === "ready" && phaseBefore !== "ready") findings = rig.findings();
   phaseBefore = shown.phase;
-  const told = { type: /** @type {const} */ ("state"), shown, said, findings, wanted, mode, progress, target };
+  const told = { type: /** @type {const} */ ("state"), shown, said, findings, wanted, mode, progress, target, folder: folder?.name ?? null };
   const text = JSON.stringify(told);
   if (text !== shownBefore) tell(told);
   shownBefore = text;
@@ -109,13 +109,35 @@ function tellTaken() {
   );
 }
 
+const filesOf = async (/** @type {FileSystemDirectoryHandle} */ of) => read(of, new lib.SessionFiles());
+
+/** Where the session lies: in the chosen folder, else in the browser's own. */
+const place = async () => folder && await holdsSession(folder) ? folder : ownFolder();
+
+/** The session that can go on. */
 async function storedSession() {
   try {
-    const { taken, lights, simulated } = (await read(await ownFolder(), new lib.SessionFiles())).summary();
+    const { taken, lights, simulated } = (await filesOf(await place())).summary();
     return taken < lights ? { taken, lights, simulated } : null;
   } catch {
     return null; // there is none
   }
+}
+
+/**
+ * Brings the folder's session up to where the browser's copy of the same is: between the two writes of a light the
+ * cable of a disk may be pulled.
+ * @param {FileSystemDirectoryHandle} chosen
+ */
+async function bringUpToDate(chosen) {
+  const [theirs, ours] = [await filesOf(chosen), await filesOf(await ownFolder())];
+  if (theirs.isSame(ours) && ours.summary().taken > theirs.summary().taken) await copy(await ownFolder(), chosen);
+}
+
+/** The session there, its planner at hand: that may need the other build, which then reads it. @param {FileSystemDirectoryHandle} from */
+async function opened(from) {
+  await learn((await filesOf(from)).summary().planner);
+  return filesOf(from);
 }
 
 // ---- the line to the arm ----
@@ -263,7 +285,7 @@ async function expose(doing) {
     if (doing.index === 0 && !shutter) known = new Set((await images(camera.folder)).keys());
     shot = await nextImage(camera.folder, milliseconds);
   } else {
-    tell({ type: "expose", number: doing.number, index: doing.index, milliseconds, count: exposures });
+    tell({ type: "expose", number: doing.number, index: doing.index, milliseconds, count: doing.exposures });
     const came = await new Promise(resolve => { shotCame = resolve; });
     shotCame = null;
     if (!came.shot && mode !== "idle") throw new Error(came.reason);
@@ -273,7 +295,6 @@ async function expose(doing) {
 }
 
 let shutter = false;
-let exposures = 1;
 
 // ---- the capture ----
 
@@ -317,6 +338,7 @@ async function advance() {
       }
       if (doing.action === "done") {
         capturing = false;
+        await remember(null);
         return end(progress, true);
       }
       return end(`${doing.taken} of ${doing.lights} lights are stored. ${doing.reason ?? ""}`, false);
@@ -346,7 +368,19 @@ async function save() {
     return { name, bytes };
   });
   await write(await ownFolder(), files);
-  if (folder) await write(folder, files);
+  if (!folder) return;
+  try {
+    await write(folder, files);
+  } catch (error) {
+    throw withoutFolder(folder, error);
+  }
+}
+
+/** @param {FileSystemDirectoryHandle} lostFolder @param {unknown} error */
+function withoutFolder(lostFolder, error) {
+  folder = null;
+  show();
+  return new Error(`The folder “${lostFolder.name}” can't be used any more (${/** @type {Error} */ (error).message}). Choose it again, or continue with what this browser has stored.`);
 }
 
 /** Lets this worker's rig plan with a network: the whole rig moves to the build that can run one. @param {string} planner */
@@ -367,7 +401,7 @@ async function learn(planner) {
     rig.configureArm(arm);
     mask = drawn ? lib.MaskDrawing.of(drawn.width, drawn.height, drawn.bytes) : null;
     // The arm is asked for everything once more; its banner comes on a reset.
-    rig.opened(now());
+    if (line) rig.opened(now());
   }
   await models.load(planner, signal, say);
   models.lend(rig);
@@ -395,7 +429,7 @@ const answers = {
     rig = new lib.Rig();
     if (arm) rig.configureArm(arm);
     show();
-    return { limits: [...rig.limits()], session: await storedSession() };
+    return { limits: [...rig.limits()], session: await storedSession(), folder: await remembered() };
   },
 
   async connect({ rig: port }) {
@@ -456,12 +490,20 @@ const answers = {
     if (!line) throw new Error("Connect the arm first: the simulated one needs no hardware.");
     camera = chosen;
     shutter = settings.shutter;
-    exposures = settings.exposures.length;
     if (stored || !capturing) {
-      await learn(settings.planner);
-      const files = stored ? await read(await ownFolder(), new lib.SessionFiles()) : undefined;
+      if (!stored && folder && await holdsSession(folder)) {
+        throw new Error(`“${folder.name}” holds a session: continue it, or choose another folder for the new one.`);
+      }
+      const [own, from] = [await ownFolder(), await place()];
+      let files;
+      if (stored) {
+        if (folder && from === folder) await bringUpToDate(folder).catch(error => { throw withoutFolder(from, error); });
+        files = await opened(from);
+      } else await learn(settings.planner);
       rig.startCapture(settings, mask?.pixels ? mask.copy() : undefined, files);
-      if (!stored) await clear(await ownFolder());
+      if (!stored || from === folder) await clear(own);
+      if (stored && folder) await (from === folder ? copy(folder, own) : copy(own, folder));
+      await remember(folder);
       await save();
       capturing = true;
       tellTaken();
@@ -530,17 +572,33 @@ const answers = {
     return take(rig.relight(light.azimuth, light.slant));
   },
 
-  async keep({ folder: chosen }) {
+  async keep({ folder: chosen, settings }) {
+    if (chosen && await holdsSession(chosen)) {
+      if (capturing) {
+        if (!(await filesOf(chosen)).isSame(await filesOf(await ownFolder()))) {
+          throw new Error(`“${chosen.name}” holds another session: choose an empty folder for the one under way.`);
+        }
+      } else {
+        await bringUpToDate(chosen);
+        const files = await opened(chosen);
+        const { object, taken, lights, simulated: sim } = files.summary();
+        rig.startCapture(settings, undefined, files);
+        rig.takeFiles(); // nothing is written before it goes on
+        folder = chosen;
+        show();
+        tellTaken();
+        return { session: taken < lights ? { taken, lights, simulated: sim } : null, shown: { object, taken, lights } };
+      }
+    }
+    if (chosen && capturing) await copy(await ownFolder(), chosen);
     folder = chosen;
-    if (!folder || !capturing) return;
-    // What was taken before the folder was chosen.
-    const files = /** @type {{ name: string, bytes: Uint8Array }[]} */ ([]);
-    await read(await ownFolder(), { add: (name, bytes) => void files.push({ name, bytes }) });
-    await write(folder, files.sort((a, b) => Number(a.name === "session.json") - Number(b.name === "session.json")));
+    if (capturing) await remember(folder);
+    show();
+    return { session: await storedSession(), shown: null };
   },
 
   async zip() {
-    const files = await read(await ownFolder(), new lib.SessionFiles());
+    const files = await filesOf(await place());
     return /** @type {ArrayBuffer} */ (files.zip("session").buffer);
   },
 };

@@ -7,7 +7,7 @@ use coil_ps::arm::kinematics::{Mount, Severity, check_settings};
 use coil_ps::arm::line::State;
 use coil_ps::camera::{Camera, Domain};
 use coil_ps::dataset::diligent::normals_mat;
-use coil_ps::rig::camera::{Sensor, SimulatedCamera};
+use coil_ps::rig::camera::{Sensor, SimulatedCamera, SimulatedView};
 use coil_ps::rig::capture::{Action, Capture, Options, Stuck};
 use coil_ps::rig::hdr::{Crop, Exposure, merge, threshold_level, threshold_mask};
 use coil_ps::rig::sphere::{self, Circle};
@@ -452,16 +452,21 @@ fn capture(args: &Args, mut source: Source, mask: Option<Mask>) -> anyhow::Resul
     };
     let mut capture = match resumed {
         Some(resumed) => {
-            if resumed.record.lights != args.lights
-                || resumed.record.planner != args.planner
-                || resumed.record.seed != args.seed
+            let r = &resumed.record;
+            let plan = (r.planner.as_str(), r.lights, r.seed);
+            let rig = (r.brightness.unwrap_or(args.brightness), r.reach.unwrap_or(args.reach));
+            let nearby = if r.reach.is_some() { r.nearby } else { args.nearby };
+            if plan != (args.planner.as_str(), args.lights, args.seed)
+                || (rig, nearby) != ((args.brightness, args.reach), args.nearby)
             {
-                let r = &resumed.record;
+                let nearby = nearby.map(|d| format!(" --nearby {d}")).unwrap_or_default();
                 bail!(
-                    "the session was begun with --planner {} -t {} --seed {}: say the same",
+                    "the session was begun with --planner {} -t {} --seed {} --brightness {} --reach {}{nearby}: say the same",
                     r.planner,
                     r.lights,
-                    r.seed
+                    r.seed,
+                    rig.0,
+                    rig.1
                 );
             }
             for name in &resumed.damaged {
@@ -478,7 +483,16 @@ fn capture(args: &Args, mut source: Source, mask: Option<Mask>) -> anyhow::Resul
         }
     };
     capture.record_mut().firmware = format!("Grbl {}", driver.link().version());
-    capture.record_mut().camera = args.camera.clone();
+    capture.record_mut().camera = match &source {
+        Source::Simulated { mount, .. } => {
+            let (object, material) = (args.object.clone(), args.material.clone());
+            SimulatedView { object, material, size: args.size, mount: *mount }.to_string()
+        }
+        Source::Folder { .. } => args.camera.clone(),
+    };
+    capture.record_mut().brightness = Some(args.brightness);
+    capture.record_mut().reach = Some(args.reach);
+    capture.record_mut().nearby = args.nearby;
     write_files(&args.out, &capture.opening_writes()?)?;
     if let Some(truth) = truth {
         write_files(
