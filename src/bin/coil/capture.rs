@@ -2,7 +2,8 @@
 
 use crate::arm::{ArmArgs, Driver, PortArgs};
 use anyhow::{Context, bail};
-use coil_ps::arm::grbl::{Command, Trust};
+use coil_ps::arm::Joints;
+use coil_ps::arm::grbl::{Command, Phase, Trust};
 use coil_ps::arm::kinematics::{Mount, Severity, check_settings};
 use coil_ps::arm::line::State;
 use coil_ps::camera::{Camera, Domain};
@@ -157,13 +158,10 @@ impl Source<'_> {
     fn expose(&mut self, driver: &mut Driver, seconds: f64) -> anyhow::Result<Exposure> {
         match self {
             Self::Simulated { scene, camera, mount, .. } => {
-                // A simulated camera needs a simulated arm: it sees the light where it really is.
-                let truth = driver
-                    .truth()
-                    .context("--camera sim needs --arm sim: it has to know where the light is")?;
-                let full = driver.link().settings().get(&30).copied().unwrap_or(1000.0);
-                let direction = mount.direction(truth.joints);
-                let exposure = camera.expose(*scene, direction, (truth.led / full) as f32, seconds)?;
+                let (joints, led) = where_the_light_is(driver)?;
+                let full = driver.link().settings().get(&30).copied().filter(|v| *v > 0.0).unwrap_or(1000.0);
+                let direction = mount.direction(joints);
+                let exposure = camera.expose(*scene, direction, (led / full) as f32, seconds)?;
                 // Exposure and read-out of 5 million 12-bit pixels over USB 3.
                 driver.spend(Duration::from_secs_f64(seconds + 0.03));
                 Ok(exposure)
@@ -206,6 +204,24 @@ impl Source<'_> {
         println!("mirror sphere: centre {:.1}, {:.1}, radius {:.1} pixels", found.x, found.y, found.radius);
         Ok(found)
     }
+}
+
+/// Joint angles and brightness for the simulated camera: the truth of a simulated arm, else what the firmware says next.
+fn where_the_light_is(driver: &mut Driver) -> anyhow::Result<(Joints, f64)> {
+    if let Some(truth) = driver.truth() {
+        return Ok((truth.joints, truth.led));
+    }
+    let since = driver.now();
+    driver.link_mut().want_status();
+    while driver.now() < since + Duration::from_secs(2) {
+        driver.pump()?;
+        let led = driver.link().status_after(since).map(|s| s.spindle.unwrap_or(0.0));
+        if let (Some(led), Some(joints)) = (led, driver.link().joints()) {
+            return Ok((joints, led));
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    bail!("the firmware does not say where the arm is")
 }
 
 /// A picture file of a camera.
@@ -574,6 +590,8 @@ fn drive(
                     fresh = false;
                     capture.exposed(exposure)?;
                 }
+                // That is said, and mended, as such.
+                Err(_) if matches!(driver.link().phase(), Phase::Closed(_)) => {}
                 Err(error) => return Ok(Some(Stuck::Failed(format!("{error:#}")))),
             },
             Action::Develop => {

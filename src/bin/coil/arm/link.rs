@@ -157,9 +157,9 @@ impl Driver {
         }
     }
 
-    /// Lets simulated time pass; in real time it has passed already.
+    /// Lets the time pass that something simulated takes.
     pub fn spend(&mut self, time: Duration) {
-        if self.real_time && matches!(self.port, Port::Simulated(_)) {
+        if self.real_time {
             std::thread::sleep(time);
         }
         self.now += time;
