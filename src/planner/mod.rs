@@ -259,6 +259,11 @@ pub struct Setup<'a> {
 pub trait Learned: Sync {
     /// The planner of a name, beginning with a light at `start`; `None` where no model of that name is loaded.
     fn planner(&self, name: &str, start: Vec3) -> Option<Box<dyn Planner>>;
+
+    /// Identity (hash) of the network behind the planner of a name, where there is one.
+    fn network(&self, _name: &str) -> Option<String> {
+        None
+    }
 }
 
 /// The planner of a name in [`PLANNERS`].

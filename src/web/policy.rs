@@ -106,6 +106,10 @@ impl Learned for Policies {
             _ => Box::new(Coil::new(policy, start)),
         })
     }
+
+    fn network(&self, name: &str) -> Option<String> {
+        Some(self.0.get(name)?.header().network.clone())
+    }
 }
 
 impl Models {

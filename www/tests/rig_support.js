@@ -72,6 +72,7 @@ export async function withRig(body, serial = true, within = browser) {
     await page.goto(site.url);
     await page.getByRole("tab", { name: "Rig" }).click();
     await page.locator(".rig-planner option").first().waitFor({ state: "attached" });
+    await page.evaluate(recordStates);
     await body(page);
     assert.deepEqual(complaints.filter(c => !/Failed to load resource/.test(c)), []);
   } finally {
@@ -88,6 +89,38 @@ export async function connect(page, choice) {
 /** @param {import("playwright-core").Page} page @param {RegExp} text */
 export const state = (page, text, timeout = 20_000) => page.waitForFunction(
   source => new RegExp(source).test(document.querySelector(".rig-state")?.textContent ?? ""), text.source, { timeout });
+
+/** Keeps every text of the connection's state: some last only a moment, which a busy machine may not be asked in. */
+function recordStates() {
+  const element = /** @type {Element} */ (document.querySelector(".rig-state"));
+  /** @type {string[]} */
+  const states = /** @type {any} */ (window).rigStates = [element.textContent];
+  new MutationObserver(() => states.push(element.textContent ?? "")).observe(element, { childList: true, characterData: true, subtree: true });
+}
+
+/** Waits until the connection's state was like each of these, in this order. @param {import("playwright-core").Page} page @param {...RegExp} texts */
+export const passed = (page, ...texts) => page.waitForFunction(sources => {
+  let at = 0;
+  for (const state of /** @type {any} */ (window).rigStates ?? []) if (at < sources.length && new RegExp(sources[at]).test(state)) at += 1;
+  return at === sources.length;
+}, texts.map(text => text.source), { timeout: 60_000 });
+
+/** Waits until the read-out is like this. @param {import("playwright-core").Page} page @param {string} selector @param {RegExp} text */
+export const reads = (page, selector, text) => page.waitForFunction(
+  ([selector, source]) => new RegExp(source).test(document.querySelector(selector)?.textContent ?? ""), /** @type {const} */ ([selector, text.source]), { timeout: 30_000 });
+
+/** Sends the arm from side to side until it is seen moving: a busy machine may miss a whole move. @param {import("playwright-core").Page} page */
+export async function setMoving(page) {
+  for (let azimuth = -170; ; azimuth = -azimuth) {
+    await page.locator(".rig-az").fill(String(azimuth));
+    await page.getByRole("button", { name: "Go to" }).click();
+    const seen = await page.waitForFunction(azimuth => {
+      if (document.querySelector(".rd-state")?.textContent === "Run") return "moving";
+      return document.querySelector(".rd-azimuth")?.textContent === `${azimuth.toFixed(2)}°` ? "there" : null;
+    }, azimuth, { timeout: 30_000 });
+    if (await seen.jsonValue() === "moving") return;
+  }
+}
 
 /** @param {import("playwright-core").Page} page */
 export const lines = page => page.evaluate(() => /** @type {any} */ (window).rigTest.port.board.lines());

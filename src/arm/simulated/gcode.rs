@@ -25,6 +25,8 @@ pub enum Action {
     Sleep,
     /// Homing cycle.
     Home,
+    /// The work offset was set: the next status report tells it.
+    Offset,
     /// Time in which nothing else is done (parsing, EEPROM).
     Busy(u64),
     /// Answer the line.
@@ -229,6 +231,8 @@ pub fn parse(
                         12
                     }
                     (61, 0) => 13,
+                    // A known command with decimals that it does not have.
+                    (0 | 1 | 4 | 10 | 17..=21 | 40 | 53..=59 | 80 | 93 | 94, 1..) => return Err(23),
                     _ => return Err(20),
                 }
             }
@@ -291,8 +295,10 @@ pub fn parse(
     if has(b'N') && get(b'N') > 10_000_000.0 {
         return Err(27);
     }
-    let mut used =
-        words & !((1 << (b'N' - b'A')) | (1 << (b'F' - b'A')) | (1 << (b'S' - b'A')) | (1 << (b'T' - b'A')));
+    let mut used = words & !((1 << (b'N' - b'A')) | (1 << (b'F' - b'A')));
+    if !jog {
+        used &= !((1 << (b'S' - b'A')) | (1 << (b'T' - b'A')));
+    }
     let scale = if m.inches { MILLIMETRES } else { 1.0 };
     if jog && !has(b'F') {
         return Err(22);
@@ -337,7 +343,8 @@ pub fn parse(
             if !any_axis {
                 return Err(26);
             }
-            if !has(b'P') || !has(b'L') {
+            // As Grbl does: only where both are missing.
+            if !has(b'P') && !has(b'L') {
                 return Err(28);
             }
             let p = get(b'P') as usize;
@@ -407,8 +414,6 @@ pub fn parse(
                 }
                 if any_axis {
                     moves.push((target, false));
-                } else {
-                    return Err(26);
                 }
             }
         }
@@ -418,12 +423,10 @@ pub fn parse(
         return Err(36);
     }
     if jog {
-        // A jog leaves the parser state as it was, but for the position.
+        // A jog leaves the parser state as it was, but for the position. Without axes Grbl goes to machine zero.
+        let target = if any_axis { target } else { [0.0; 3] };
         if settings.on(20) && !within_travel(target, settings) {
             return Err(15);
-        }
-        if !any_axis {
-            return Err(26);
         }
         modal.position = target;
         return Ok(vec![Action::Line { target, feed, rapid: false, jog: true }, Action::Reply(0)]);
@@ -457,6 +460,10 @@ pub fn parse(
     if eeprom {
         // Grbl waits for the end of motion before it writes to EEPROM (3.3 ms a byte, 13 bytes).
         actions.extend([Action::Sync, Action::Busy(13 * 3300)]);
+    }
+    let tool_length = axis == AxisCommand::ToolLength && m.tool_offset != modal.tool_offset;
+    if matches!(non_modal, 100 | 920 | 921) || m.system != modal.system || tool_length {
+        actions.extend([Action::Sync, Action::Offset]);
     }
     for (target, rapid) in moves {
         actions.push(Action::Line { target, feed, rapid, jog: false });

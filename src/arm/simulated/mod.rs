@@ -653,8 +653,11 @@ impl Simulated {
                 self.led = 0.0;
                 self.flood = false;
                 self.overrides = [100; 3];
+                self.wco_counter = 0;
+                self.ovr_counter = 0;
                 self.print("[MSG:Pgm End]\r\n");
             }
+            Action::Offset => self.wco_counter = 0,
             Action::Pause => self.flags.hold = true,
             Action::Sleep => self.flags.sleep = true,
             Action::Home => {
@@ -740,7 +743,6 @@ impl Simulated {
             Ok(actions) => self.queue.extend(actions),
             Err(code) => self.queue.push_back(Action::Reply(code)),
         }
-        self.wco_counter = 0;
     }
 
     /// A `$` line; replies by itself where it succeeds.
@@ -831,6 +833,9 @@ impl Simulated {
                     return Err(3);
                 }
                 self.settings.store(number as u8, value)?;
+                if number as u8 == 13 {
+                    self.wco_counter = 0;
+                }
                 self.queue.push_back(Action::Busy(88 * 3300));
             }
         }
@@ -866,6 +871,7 @@ impl Simulated {
             self.wait = Wait::None;
             self.led = self.door_led;
             self.flood = self.door_flood;
+            self.ovr_counter = 0;
             self.resume_motion();
         }
         if self.alarm != 0 {
@@ -921,6 +927,7 @@ impl Simulated {
                 if !self.jog_cancel && self.state != State::Sleep {
                     if !matches!(self.state, State::Door(_)) {
                         (self.door_led, self.door_flood) = (self.led, self.flood);
+                        self.ovr_counter = 0;
                     }
                     (self.led, self.flood) = (0.0, false);
                     self.state = State::Door(if self.planner.running() { 2 } else { 0 });
@@ -1161,12 +1168,26 @@ impl Simulated {
         } else {
             ("WPos", std::array::from_fn(|i| machine[i] - offset[i]))
         };
-        let triple = |p: [f64; 3]| format!("{:.3},{:.3},{:.3}", clean(p[0]), clean(p[1]), clean(p[2]));
+        let inches = self.settings.on(13);
+        let triple = |p: [f64; 3]| {
+            if inches {
+                let [x, y, z] = p.map(|v| clean(v * INCH_PER_MM));
+                return format!("{x:.4},{y:.4},{z:.4}");
+            }
+            format!("{:.3},{:.3},{:.3}", clean(p[0]), clean(p[1]), clean(p[2]))
+        };
         let mut out = format!("<{state}|{name}:{}", triple(shown));
         if mask & 2 != 0 {
             out += &format!("|Bf:{},{}", self.planner.free(), RX - self.rx.len());
         }
-        out += &format!("|FS:{:.0},{:.0}", self.planner.rate(self.now), self.led);
+        // Grbl rounds a half up.
+        let rate = self.planner.rate(self.now);
+        let rate = if inches {
+            format!("{:.1}", libm::floor(rate * INCH_PER_MM * 10.0 + 0.5) / 10.0)
+        } else {
+            format!("{}", libm::floor(rate + 0.5))
+        };
+        out += &format!("|FS:{rate},{}", libm::floor(self.led + 0.5));
         let pins: String = (0..3).filter(|&i| self.closed(i)).map(|i| ['X', 'Y', 'Z'][i]).collect();
         if !pins.is_empty() {
             out += &format!("|Pn:{pins}");
@@ -1200,6 +1221,9 @@ impl Simulated {
 fn axes_of(cycle: u8) -> [bool; 3] {
     if cycle == 0 { [false, false, true] } else { [true, true, false] }
 }
+
+/// Grbl's own.
+const INCH_PER_MM: f64 = 0.0393701;
 
 /// No "-0.000".
 fn clean(v: f64) -> f64 {

@@ -213,3 +213,22 @@ fn hard_limit_door_sleep_and_check_mode() {
     assert!(h.send("?", 0.1).starts_with("<Sleep|"));
     assert!(h.send("\x18", 1.0).ends_with("[MSG:'$H'|'$X' to unlock]\r\n"));
 }
+
+/// Each of these was found by `tests/firmware.rs` against the firmware.
+#[test]
+fn odd_lines_are_answered_as_by_the_firmware() {
+    let mut h = stock();
+    assert_eq!(h.send("$J=G91X1F100S5\n", 0.2), "error:36\r\n");
+    assert_eq!(h.send("G1.5X1F10\n", 0.2), "error:23\r\n");
+    assert_eq!(h.send("G10L2X0\n", 1.0), "ok\r\n");
+    assert_eq!(h.send("G1F100\n", 0.2), "ok\r\n");
+    h.send("?", 0.1);
+    h.send("?", 0.1);
+    // The work offset is told again only when it was set; a half is rounded up.
+    assert_eq!(h.send("M3S0.5\n", 0.2), "ok\r\n");
+    assert_eq!(h.send("?", 0.1), "<Idle|MPos:0.000,0.000,0.000|FS:0,1|Ov:100,100,100|A:S>\r\n");
+    assert_eq!(h.send("G92X1\n", 0.2), "ok\r\n");
+    assert_eq!(h.send("?", 0.1), "<Idle|MPos:0.000,0.000,0.000|FS:0,1|WCO:-1.000,0.000,0.000>\r\n");
+    assert_eq!(h.send("G92.1\n$13=1\n", 1.0), "ok\r\nok\r\n");
+    assert_eq!(h.send("?", 0.1), "<Idle|MPos:0.0000,0.0000,0.0000|FS:0.0,1|WCO:0.0000,0.0000,0.0000>\r\n");
+}

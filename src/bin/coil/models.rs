@@ -47,4 +47,8 @@ impl Learned for Models {
             Box::new(Coil::new(policy, start))
         })
     }
+
+    fn network(&self, name: &str) -> Option<String> {
+        Some(self.0.get(name)?.header().network.clone())
+    }
 }
