@@ -35,10 +35,16 @@ static void switches(void) {
   if (at[1] < 0) pins.value |= 1 << Y_LIMIT;
   if (port_d >> Z_DIR & 1) pins.value |= 1 << Z_LIMIT;
   if (switched == (int)pins.value) return;
+  const int again = switched < 0;
   switched = pins.value;
   avr_ioctl(avr, AVR_IOCTL_IOPORT_SET_EXTERNAL('B'), &pins);
   for (int bit = X_LIMIT; bit <= Z_LIMIT; bit++)
-    if (pins.mask >> bit & 1) avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('B'), bit), pins.value >> bit & 1);
+    if (pins.mask >> bit & 1) {
+      const uint32_t value = pins.value >> bit & 1;
+      // A value that simavr knows already is not passed on, and a reset has cleared the register.
+      if (again) avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('B'), bit), !value);
+      avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('B'), bit), value);
+    }
 }
 
 static void pins_changed(struct avr_irq_t *irq, uint32_t value, void *param) {
