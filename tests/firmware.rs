@@ -341,6 +341,8 @@ fn the_simulated_grbl_says_what_the_firmware_says() {
     real.say("\u{18}", 1.5, 2);
     let reset = real.say("$X\n", 0.5, 1) + &real.say("$RST=*\n", 8.0, 4);
     assert!(reset.contains("Grbl 1.1"), "{reset:?}");
+    // Wherever an earlier run has left it.
+    real.say("G0X0Y0Z0\nG4P0.01\n", 4.0, 2);
 
     let on = |mut board: Simulated| {
         board.open(Duration::ZERO);
