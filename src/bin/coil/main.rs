@@ -19,11 +19,13 @@ mod serve;
 mod solve;
 mod study;
 #[cfg(feature = "render")]
+mod train;
+#[cfg(feature = "train")]
+mod train_policy;
+#[cfg(feature = "render")]
 mod train_solver;
 #[cfg(feature = "render")]
 mod tune;
-#[cfg(feature = "train")]
-mod train;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -44,9 +46,6 @@ enum Command {
     Study(study::StudyArgs),
     /// Solve objects and write normals, expected errors and surfaces.
     Solve(solve::Args),
-    /// Train the pixel network.
-    #[cfg(feature = "render")]
-    TrainSolver(train_solver::Args),
     /// Tune the solvers without training on synthetic pixels.
     #[cfg(feature = "render")]
     Tune(tune::Args),
@@ -69,7 +68,7 @@ enum Command {
     #[cfg(feature = "policy")]
     Model(model::Args),
     /// Train a network (in resumable pieces).
-    #[cfg(feature = "train")]
+    #[cfg(feature = "render")]
     Train(train::Args),
 }
 
@@ -78,8 +77,6 @@ fn main() -> ExitCode {
         Command::Eval(args) => eval::run(args),
         Command::Study(args) => study::run(args),
         Command::Solve(args) => solve::run(args),
-        #[cfg(feature = "render")]
-        Command::TrainSolver(args) => train_solver::run(args),
         #[cfg(feature = "render")]
         Command::Tune(args) => tune::run(args),
         Command::Info(args) => info::run(args),
@@ -92,7 +89,7 @@ fn main() -> ExitCode {
         Command::Serve(args) => serve::run(args),
         #[cfg(feature = "policy")]
         Command::Model(args) => model::run(args),
-        #[cfg(feature = "train")]
+        #[cfg(feature = "render")]
         Command::Train(args) => train::run(args),
     };
     result.unwrap_or_else(|error| {

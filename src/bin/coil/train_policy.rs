@@ -1,0 +1,404 @@
+//! `coil train policy`: COIL-PS's network, in resumable pieces.
+
+use anyhow::{Context, bail};
+use clap::ValueEnum;
+use coil_ps::light::{fibonacci_hemisphere, ring};
+use coil_ps::policy::Config;
+use coil_ps::train::compute::{Compute, Processor};
+use coil_ps::train::fit::{Recipe, Report, Trainer};
+use coil_ps::train::formation::Scene;
+use coil_ps::train::loss::Measure;
+use coil_ps::train::{checkpoint, export, objects, plot, validate};
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::{Deserialize, Serialize};
+use std::fs;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Instant;
+
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum Preset {
+    /// For two CPU cores.
+    Compact,
+    /// The paper's recipe (AdamW 1e-5, batch 8, 500 epochs of 1000 objects, soft interpolation).
+    Paper,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Device {
+    Cpu,
+    Cuda,
+    Wgpu,
+}
+
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum Without {
+    /// No outlier-aware gate.
+    Gate,
+    /// No transformer and no positional encoding.
+    Transformer,
+}
+
+/// Options of `coil train policy`. What is not given comes from the preset; on --resume, from the run's own recipe.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Recipe to start from.
+    #[arg(long, value_enum, default_value = "compact")]
+    preset: Preset,
+    /// Size of the network: compact or paper.
+    #[arg(long)]
+    size: Option<String>,
+    /// Ablation: leave a part out.
+    #[arg(long, value_enum)]
+    without: Option<Without>,
+    /// Show the policy black frames: it then learns one fixed light set.
+    #[arg(long)]
+    blank: bool,
+    /// Objects in the training pool.
+    #[arg(long)]
+    objects: Option<usize>,
+    /// Side of the training pictures, pixels.
+    #[arg(long)]
+    resolution: Option<u32>,
+    /// How a direction becomes a picture: exact, or soft:TAU (radians).
+    #[arg(long)]
+    lookup: Option<String>,
+    /// What the loss measures: angle, or cosine (the paper's).
+    #[arg(long, value_parser = |text: &str| serde_json::from_value::<Measure>(text.into()).map_err(|_| "angle or cosine"))]
+    measure: Option<Measure>,
+    /// Picture after which the loss is measured first: 3 or later (4 in the paper).
+    #[arg(long)]
+    first_loss: Option<usize>,
+    /// Solver to train through.
+    #[arg(long)]
+    solver: Option<String>,
+    /// Updates.
+    #[arg(long)]
+    steps: Option<u64>,
+    /// Sequences an update.
+    #[arg(long)]
+    batch: Option<usize>,
+    /// Sequences differentiated together.
+    #[arg(long)]
+    micro_batch: Option<usize>,
+    /// Learning rate.
+    #[arg(long)]
+    rate: Option<f32>,
+    /// Pictures a sequence, T.
+    #[arg(long)]
+    lights: Option<usize>,
+    /// Share of the gradient that flows back through what the policy sees, 0 to 1.
+    #[arg(long)]
+    feedback: Option<f32>,
+    /// Seed of weights and draws.
+    #[arg(long)]
+    seed: Option<u64>,
+    /// What the network is trained on: cpu, cuda (feature train-cuda) or wgpu (feature train-wgpu).
+    #[arg(long, value_enum, default_value = "cpu")]
+    device: Device,
+    /// Threads; their number doesn't change the result.
+    #[arg(long, default_value_t = 1)]
+    threads: usize,
+    /// Updates between validations.
+    #[arg(long, default_value_t = 100)]
+    validate_every: u64,
+    /// Objects to validate on.
+    #[arg(long, default_value_t = 32)]
+    validation_objects: usize,
+    /// Seconds after which to stop; go on later with --resume.
+    #[arg(long)]
+    seconds: Option<u64>,
+    /// Folder of a new run: recipe, log, plot, checkpoint, exported best model.
+    #[arg(long, required_unless_present = "resume")]
+    out: Option<PathBuf>,
+    /// Folder of a run whose best weights a new run begins with.
+    #[arg(long, conflicts_with = "resume")]
+    from: Option<PathBuf>,
+    /// Folder of a run to go on with; of one that has ended, its best and its last weights are compared again.
+    #[arg(long, conflicts_with = "out")]
+    resume: Option<PathBuf>,
+}
+
+/// A line of the log.
+#[derive(Serialize, Deserialize)]
+struct Line {
+    #[serde(flatten)]
+    report: Option<Report>,
+    /// Seconds of this update.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    seconds: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    validation: Option<Validation>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    baselines: Option<Vec<(String, validate::Errors)>>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Validation {
+    /// Updates made.
+    after: u64,
+    #[serde(flatten)]
+    found: validate::Validation,
+}
+
+/// Runs the subcommand.
+pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
+    let (dir, mut trainer) = match &args.resume {
+        Some(dir) => (dir.clone(), resume(dir)?),
+        None => {
+            let dir = args.out.clone().context("name a folder with --out")?;
+            if dir.join("checkpoint").exists() {
+                bail!("{} holds a run already: go on with --resume, or name another folder", dir.display());
+            }
+            let trainer = match &args.from {
+                None => Trainer::new(recipe(args)?).map_err(anyhow::Error::msg)?,
+                Some(from) => begin_from(from, recipe(args)?)?,
+            };
+            (dir, trainer)
+        }
+    };
+    fs::create_dir_all(&dir).with_context(|| format!("can't make the folder {}", dir.display()))?;
+    replace(&dir.join("recipe.json"), serde_json::to_string_pretty(&trainer.recipe)?.as_bytes())?;
+    let mut log = Log::open(&dir.join("log.jsonl"), trainer.step)?;
+
+    let threads = args.threads.max(1);
+    let processor = match args.device {
+        Device::Cpu => Processor::Cpu,
+        Device::Cuda => Processor::Cuda,
+        Device::Wgpu => Processor::Wgpu,
+    };
+    let compute = Compute::new(processor, threads)?;
+    let pool = objects::Training::new(trainer.recipe.resolution, trainer.recipe.softness);
+    let scenes = objects::validation(args.validation_objects, trainer.recipe.resolution);
+    eprintln!(
+        "{} weights, {} validation objects, {} of {} updates made",
+        trainer.weights.count(),
+        scenes.len(),
+        trainer.step,
+        trainer.recipe.steps
+    );
+    if trainer.step == 0 {
+        let baselines = baselines(&scenes, threads);
+        for (name, e) in &baselines {
+            eprintln!("  {name:24} {:6.2} {:6.2} {:6.2}", e.0[0], e.0[1], e.0[2]);
+        }
+        log.write(&Line { report: None, seconds: None, validation: None, baselines: Some(baselines) })?;
+        replace(&dir.join("checkpoint"), &checkpoint::write(&trainer))?;
+    }
+
+    if trainer.done() {
+        return choose(&dir, &mut trainer, &scenes, &compute);
+    }
+    let started = Instant::now();
+    let bar = ProgressBar::new(trainer.recipe.steps).with_position(trainer.step);
+    bar.set_style(ProgressStyle::with_template("{pos}/{len} {elapsed}, {eta} left  {msg}")?);
+    bar.reset_eta();
+    while !trainer.done() {
+        let before = Instant::now();
+        let report = trainer.update(&pool, &compute).map_err(anyhow::Error::msg)?;
+        let seconds = Some((before.elapsed().as_secs_f64() * 1e3).round() / 1e3);
+        log.write(&Line { report: Some(report), seconds, validation: None, baselines: None })?;
+        bar.inc(1);
+        let due = trainer.step.is_multiple_of(args.validate_every) || trainer.done();
+        if due {
+            let found = validate::policy(&trainer.weights, &scenes, trainer.recipe.blank, &compute);
+            let better = trainer.validated(found.degrees.last());
+            let after = trainer.step;
+            let [a, b, c] = found.degrees.0;
+            bar.suspend(|| {
+                eprintln!(
+                    "after {after}: T=3 {a:.2}, T=5 {b:.2}, T=10 {c:.2} degrees, spread {:.1}{}",
+                    found.spread,
+                    if better { ", best so far" } else { "" }
+                )
+            });
+            log.write(&Line {
+                report: None,
+                seconds: None,
+                validation: Some(Validation { after, found }),
+                baselines: None,
+            })?;
+        }
+        bar.set_message(format!("loss {:.4}", report.loss));
+        let stop = args.seconds.is_some_and(|s| started.elapsed().as_secs() >= s);
+        if due || stop {
+            log.flush()?;
+            replace(&dir.join("checkpoint"), &checkpoint::write(&trainer))?;
+            save_best(&dir, &trainer)?;
+            replace(
+                &dir.join("loss.svg"),
+                plot::training(&fs::read_to_string(dir.join("log.jsonl"))?).as_bytes(),
+            )?;
+        }
+        if stop && !trainer.done() {
+            bar.abandon();
+            eprintln!(
+                "stopped after {} updates; go on with: coil train policy --resume {}",
+                trainer.step,
+                dir.display()
+            );
+            break;
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Of a run that has ended, compares its best weights and its last ones again, perhaps on more objects than before, and keeps
+/// the better: the best of many validations on few objects is partly luck.
+fn choose(
+    dir: &Path,
+    trainer: &mut Trainer,
+    scenes: &[Box<dyn Scene>],
+    compute: &Compute,
+) -> anyhow::Result<ExitCode> {
+    let best = trainer.best.take().map(|best| best.0);
+    for (name, weights) in [("best", best), ("last", Some(trainer.weights.clone()))] {
+        let Some(weights) = weights else { continue };
+        let found = validate::policy(&weights, scenes, trainer.recipe.blank, compute);
+        let [a, b, c] = found.degrees.0;
+        eprintln!("{name}: T=3 {a:.2}, T=5 {b:.2}, T=10 {c:.2} degrees on {} objects", scenes.len());
+        if trainer.best.as_ref().is_none_or(|(_, other)| found.degrees.last() < *other) {
+            trainer.best = Some((weights, found.degrees.last()));
+        }
+    }
+    replace(&dir.join("checkpoint"), &checkpoint::write(trainer))?;
+    save_best(dir, trainer)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn recipe(args: &Args) -> anyhow::Result<Recipe> {
+    let mut r = match args.preset {
+        Preset::Compact => Recipe::compact(),
+        Preset::Paper => Recipe::paper(),
+    };
+    if let Some(size) = &args.size {
+        r.config = Config::by_name(size)?;
+    }
+    r.config.gating &= args.without != Some(Without::Gate);
+    r.config.transformer &= args.without != Some(Without::Transformer);
+    r.blank = args.blank;
+    set(&mut r.objects, args.objects);
+    set(&mut r.resolution, args.resolution);
+    set(&mut r.steps, args.steps);
+    set(&mut r.batch, args.batch);
+    set(&mut r.micro_batch, args.micro_batch);
+    set(&mut r.rate, args.rate);
+    set(&mut r.lights, args.lights);
+    set(&mut r.seed, args.seed);
+    set(&mut r.feedback, args.feedback);
+    set(&mut r.measure, args.measure);
+    set(&mut r.first_loss, args.first_loss);
+    set(&mut r.solver, args.solver.clone());
+    match args.lookup.as_deref() {
+        None => {}
+        Some("exact") => r.tau = None,
+        Some(other) => {
+            let tau = other.strip_prefix("soft:").and_then(|t| t.parse().ok());
+            r.tau =
+                Some(tau.with_context(|| {
+                    format!("look-up '{other}': write exact or soft:TAU, TAU in radians")
+                })?);
+        }
+    }
+    Ok(r)
+}
+
+fn set<T>(field: &mut T, value: Option<T>) {
+    if let Some(value) = value {
+        *field = value;
+    }
+}
+
+fn resume(dir: &Path) -> anyhow::Result<Trainer> {
+    let path = dir.join("checkpoint");
+    let bytes = fs::read(&path).with_context(|| format!("no run in {}", dir.display()))?;
+    checkpoint::read(&bytes).with_context(|| path.display().to_string())
+}
+
+/// A new run of the network, and with the best weights, of the run in `from`.
+fn begin_from(from: &Path, recipe: Recipe) -> anyhow::Result<Trainer> {
+    let other = resume(from)?;
+    let recipe = Recipe { config: other.recipe.config, from: Some(from.display().to_string()), ..recipe };
+    let mut trainer = Trainer::new(recipe).map_err(anyhow::Error::msg)?;
+    trainer.weights = other.best.map_or(other.weights, |best| best.0);
+    Ok(trainer)
+}
+
+fn baselines(scenes: &[Box<dyn Scene>], threads: usize) -> Vec<(String, validate::Errors)> {
+    let mut out = vec![
+        ("random".into(), validate::random(scenes, 8, 1, threads)),
+        ("dc05 ring + vertical".into(), validate::fixed(&validate::ring_and_vertical(10), scenes, threads)),
+    ];
+    for degrees in [5, 10, 15, 20, 25, 30, 35, 40, 45, 55] {
+        let lights = ring(10, (degrees as f32).to_radians(), 0.0);
+        out.push((format!("ring {degrees}"), validate::fixed(&lights, scenes, threads)));
+    }
+    out.push((
+        "oracle (100 candidates)".into(),
+        validate::oracle(scenes, &fibonacci_hemisphere(100), threads),
+    ));
+    out
+}
+
+fn save_best(dir: &Path, trainer: &Trainer) -> anyhow::Result<()> {
+    let Some((best, degrees)) = &trainer.best else { return Ok(()) };
+    let r = &trainer.recipe;
+    let note = format!(
+        "step {} of {}, validation {degrees:.2} degrees at T = 10, seed {}, {} objects",
+        trainer.step, r.steps, r.seed, r.objects
+    );
+    let files = export::export(best, &note);
+    replace(&dir.join("encoder.onnx"), &files.encoder)?;
+    replace(&dir.join("step.onnx"), &files.step)
+}
+
+/// Writes a file so that at every moment the old or the new one is there, whole.
+fn replace(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    let fresh = path.with_extension("part");
+    let write = || -> std::io::Result<()> {
+        let mut file = fs::File::create(&fresh)?;
+        file.write_all(bytes)?;
+        file.sync_all()?;
+        fs::rename(&fresh, path)
+    };
+    write().with_context(|| format!("can't write {}", path.display()))
+}
+
+/// The log, appended to; lines of updates that a killed run made after its last checkpoint are dropped, they are made again.
+struct Log {
+    file: std::io::BufWriter<fs::File>,
+}
+
+impl Log {
+    fn open(path: &Path, step: u64) -> anyhow::Result<Self> {
+        let old = fs::read_to_string(path).unwrap_or_default();
+        let kept: String = old
+            .lines()
+            .filter(|l| {
+                serde_json::from_str::<Line>(l).is_ok_and(|l| {
+                    l.report.is_none_or(|r| r.step <= step) && l.validation.is_none_or(|v| v.after <= step)
+                })
+            })
+            .flat_map(|l| [l, "\n"])
+            .collect();
+        if step > 0 {
+            replace(path, kept.as_bytes())?;
+        } else {
+            replace(path, b"")?;
+        }
+        let file = fs::OpenOptions::new().append(true).open(path)?;
+        Ok(Self { file: std::io::BufWriter::new(file) })
+    }
+
+    fn write(&mut self, line: &Line) -> anyhow::Result<()> {
+        serde_json::to_writer(&mut self.file, line)?;
+        self.file.write_all(b"\n")?;
+        Ok(())
+    }
+
+    fn flush(&mut self) -> anyhow::Result<()> {
+        self.file.flush()?;
+        Ok(())
+    }
+}
