@@ -279,19 +279,19 @@ impl Training {
 
 /// `work` of 0..count, on all threads where there are any.
 #[cfg(all(feature = "cli", not(target_arch = "wasm32")))]
-fn in_parallel<T: Send>(count: usize, work: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
+pub(super) fn in_parallel<T: Send>(count: usize, work: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
     use rayon::prelude::*;
     (0..count).into_par_iter().map(work).collect()
 }
 
 /// `work` of 0..count.
 #[cfg(not(all(feature = "cli", not(target_arch = "wasm32"))))]
-fn in_parallel<T>(count: usize, work: impl Fn(usize) -> T) -> Vec<T> {
+pub(super) fn in_parallel<T>(count: usize, work: impl Fn(usize) -> T) -> Vec<T> {
     (0..count).map(work).collect()
 }
 
 /// Lights of a group: 3 to 100, mostly about ten.
-fn light_count(rng: &mut Rng) -> usize {
+pub(super) fn light_count(rng: &mut Rng) -> usize {
     match rng.uniform() {
         u if u < 0.22 => 3 + rng.below(4),
         u if u < 0.77 => 7 + rng.below(8),

@@ -1,13 +1,9 @@
-//! Chooses the parameters of the robust solvers on synthetic pixels, and calibrates their uncertainty.
+//! Chooses the parameters of the robust solvers on synthetic pixels.
 
 use super::{Generator, Pixels};
-use crate::camera::Camera as _;
 use crate::error::unit_angle;
-use crate::render::worlds::{self, Split};
-use crate::render::{Options, SceneCamera};
 use crate::rng::Rng;
 use crate::solve::{Measurements, SolveError, Solver};
-use glam::Vec3;
 
 /// Pixels of one number of lights: many light sets, some pixels under each.
 #[must_use]
@@ -17,25 +13,6 @@ pub fn bench(generator: &Generator, seed: u64, lights: usize, sets: usize, pixel
             let mut rng = Rng::stream(seed, s as u64);
             let set = generator.lights(&mut rng, lights);
             generator.pixels(&mut rng, set, pixels)
-        })
-        .collect()
-}
-
-/// The pixels of `objects` training objects of the rendered worlds, each under `lights` lights.
-///
-/// # Errors
-/// Why the first object that can't be rendered can't.
-pub fn rendered(objects: usize, lights: usize, size: u32) -> Result<Vec<Pixels>, String> {
-    let generator = Generator::new(Split::Train);
-    let options = Options { size, ..Options::default() };
-    (0..objects)
-        .map(|number| {
-            let scene = worlds::training(1, number).scene(&options).map_err(|e| e.to_string())?;
-            let camera = SceneCamera::new(&scene);
-            let set = generator.lights(&mut Rng::stream(9, number as u64), lights);
-            let take = |&l: &Vec3| camera.capture(l, &[]).map(|o| o.grey).map_err(|e| e.to_string());
-            let images = set.iter().map(take).collect::<Result<_, _>>()?;
-            Ok(Pixels { lights: set, images, normals: scene.truth().to_vec(), saturation: None })
         })
         .collect()
 }
@@ -56,12 +33,6 @@ impl Score {
         self.errors.iter().map(|&e| f64::from(e)).sum::<f64>() / self.errors.len().max(1) as f64
     }
 
-    /// Mean of what the solver expected, degrees.
-    #[must_use]
-    pub fn mean_expected(&self) -> f64 {
-        self.expected.iter().map(|&e| f64::from(e)).sum::<f64>() / self.expected.len().max(1) as f64
-    }
-
     /// Spearman's rank correlation of expected and true error.
     #[must_use]
     pub fn rank_correlation(&self) -> f64 {
@@ -78,7 +49,7 @@ pub fn score(solver: &dyn Solver, bench: &[Pixels]) -> Result<Score, SolveError>
     for group in bench {
         let measurements = group.measurements();
         let mut solution = solver.solve(&measurements)?;
-        crate::solve::uncertainty::complete(&measurements, &mut solution)?;
+        crate::solve::uncertainty::complete(solver.name(), &measurements, &mut solution)?;
         let errors =
             solution.normals.iter().zip(&group.normals).map(|(&n, &t)| unit_angle(n, t).to_degrees());
         score.errors.extend(errors);
@@ -129,25 +100,6 @@ fn ranks(values: &[f32]) -> Vec<f64> {
     ranks
 }
 
-/// The power law `degrees = factor · x^exponent` through (x, error) pairs whose mean error it keeps, fitted
-/// where the errors are small as well as where they are large: bins of equal count, in logarithms.
-#[must_use]
-pub fn power_law(x: &[f32], errors: &[f32]) -> (f32, f32) {
-    let mut order: Vec<usize> = (0..x.len()).collect();
-    order.sort_by(|&i, &j| x[i].total_cmp(&x[j]));
-    let bins = 20;
-    let (mut n, mut sx, mut sy, mut sxx, mut sxy) = (0.0f64, 0.0, 0.0, 0.0, 0.0);
-    for bin in order.chunks(order.len().div_ceil(bins).max(1)) {
-        let lx = bin.iter().map(|&i| f64::from(x[i].max(1e-9)).ln()).sum::<f64>() / bin.len() as f64;
-        let ly = (bin.iter().map(|&i| f64::from(errors[i])).sum::<f64>() / bin.len() as f64).max(1e-9).ln();
-        (n, sx, sy, sxx, sxy) = (n + 1.0, sx + lx, sy + ly, sxx + lx * lx, sxy + lx * ly);
-    }
-    let exponent = (n * sxy - sx * sy) / (n * sxx - sx * sx).max(1e-12);
-    let predicted: f64 = x.iter().map(|&v| f64::from(v.max(1e-9)).powf(exponent)).sum();
-    let factor = errors.iter().map(|&e| f64::from(e)).sum::<f64>() / predicted.max(1e-12);
-    (factor as f32, exponent as f32)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -158,13 +110,5 @@ mod tests {
         assert!((rank_correlation(&[1.0, 2.0, 3.0], &[3.0, 2.0, 1.0]) + 1.0).abs() < 1e-12);
         // Ties: ranks (0.5, 0.5, 2) and (0, 1, 2).
         assert!((rank_correlation(&[1.0, 1.0, 2.0], &[1.0, 2.0, 3.0]) - 0.866_025_4).abs() < 1e-6);
-    }
-
-    #[test]
-    fn power_law_is_recovered() {
-        let x: Vec<f32> = (1..2000).map(|i| i as f32 * 1e-3).collect();
-        let y: Vec<f32> = x.iter().map(|v| 30.0 * v.powf(0.7)).collect();
-        let (factor, exponent) = power_law(&x, &y);
-        assert!((factor - 30.0).abs() < 0.5 && (exponent - 0.7).abs() < 0.05, "{factor} {exponent}");
     }
 }

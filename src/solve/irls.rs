@@ -2,7 +2,6 @@
 
 use super::lanes::Lanes;
 use super::robust::{self, Block, Thresholds, Weigh, dot, fit, length};
-use super::uncertainty::Calibration;
 use super::{Measurements, Solution, SolveError, Solver};
 
 /// How the weight of a value falls with its residual r (in units of the pixel's albedo).
@@ -73,11 +72,6 @@ impl Solver for Irls {
     }
 
     fn solve(&self, measurements: &Measurements) -> Result<Solution, SolveError> {
-        let calibration = match self.loss {
-            Loss::L1 => &Calibration::L1,
-            Loss::Huber => &Calibration::HUBER,
-            Loss::Cauchy => &Calibration::CAUCHY,
-        };
-        robust::solve(measurements, &self.thresholds, calibration, self)
+        robust::solve(measurements, &self.thresholds, self)
     }
 }

@@ -79,7 +79,7 @@ fn split(g: Vec3) -> (Vec3, f32) {
 fn finish(normals: Vec<Vec3>, albedo: Vec<f32>) -> Solution {
     let validity =
         albedo.iter().map(|&a| if a > 0.0 { Validity::Valid } else { Validity::Shadowed }).collect();
-    Solution { normals, albedo, validity, uncertainty: None }
+    Solution { normals, albedo, validity, uncertainty: None, own: Vec::new() }
 }
 
 /// Running normal equations of all pixels: a light is added in one pass, normals are solved in one.

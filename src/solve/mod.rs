@@ -1,5 +1,6 @@
 //! From images and light directions to normals.
 
+pub mod expectation;
 pub mod irls;
 mod lanes;
 pub mod least_squares;
@@ -92,8 +93,10 @@ pub struct Solution {
     pub albedo: Vec<f32>,
     /// Which normals rest on enough measurements.
     pub validity: Vec<Validity>,
-    /// Expected angular error of every mask pixel, degrees; where the solver gives one.
+    /// Expected angular error of every mask pixel, degrees, once [`uncertainty::complete`] has been called.
     pub uncertainty: Option<Vec<f32>>,
+    /// What the solver itself says of every pixel's error, for that; empty where it says nothing.
+    pub own: Vec<expectation::Own>,
 }
 
 /// Why normals can't be solved.

@@ -1,11 +1,9 @@
 //! What the robust solvers share: which values of a pixel can be used, weighted least squares on
 //! blocks of pixels, and what happens where too little is left.
 //!
-//! A solver of this family only says how much weight each value gets ([`Weigh`]). Then
-//! `g = (LᵀWL)⁻¹LᵀW I`, and from the same weights the expected error (see [`super::uncertainty`]).
+//! A solver of this family only says how much weight each value gets ([`Weigh`]). Then `g = (LᵀWL)⁻¹LᵀW I`.
 
 use super::lanes::{LANES, Lanes};
-use super::uncertainty::{Calibration, jackknife};
 use super::{Measurements, Solution, SolveError, Validity, least_squares};
 use glam::Vec3;
 
@@ -155,7 +153,6 @@ fn prefer(good: Lanes, inner: &[Lanes], outer: &mut [Lanes]) {
 pub fn solve<W: Weigh>(
     measurements: &Measurements,
     thresholds: &Thresholds,
-    calibration: &Calibration,
     method: &W,
 ) -> Result<Solution, SolveError> {
     let pixels = measurements.check()?;
@@ -173,7 +170,8 @@ pub fn solve<W: Weigh>(
         normals: Vec::with_capacity(pixels),
         albedo: Vec::with_capacity(pixels),
         validity: Vec::with_capacity(pixels),
-        uncertainty: Some(Vec::with_capacity(pixels)),
+        uncertainty: None,
+        own: Vec::new(),
     };
     for start in (0..pixels).step_by(LANES) {
         let end = pixels.min(start + LANES);
@@ -206,10 +204,6 @@ pub fn solve<W: Weigh>(
             }
             fitted = fit(lights, &values, &weights);
         }
-        // Values that were weighted away still tell that the pixel is difficult: the geometric mean of the
-        // error with and without them ranks pixels best (`coil tune`).
-        let plain = jackknife(lights, &values, &ones, &fit(lights, &values, &ones));
-        let error = (jackknife(lights, &values, &weights, &fitted) * plain).sqrt();
         let albedo = length(fitted.g);
         for i in 0..end - start {
             let g = Vec3::new(fitted.g[0].0[i], fitted.g[1].0[i], fitted.g[2].0[i]);
@@ -224,9 +218,6 @@ pub fn solve<W: Weigh>(
             } else {
                 Validity::Valid
             });
-            if let Some(degrees) = &mut out.uncertainty {
-                degrees.push(if dead { 90.0 } else { calibration.degrees(error.0[i]) });
-            }
         }
     }
     Ok(out)
@@ -256,7 +247,10 @@ mod tests {
 
     fn solve(solver: &dyn Solver, lights: &[Vec3], images: &[Vec<f32>], saturation: Option<f32>) -> Solution {
         let images = images.iter().map(Vec::as_slice).collect();
-        solver.solve(&Measurements { lights: lights.to_vec(), images, saturation }).unwrap()
+        let measurements = Measurements { lights: lights.to_vec(), images, saturation };
+        let mut solution = solver.solve(&measurements).unwrap();
+        uncertainty::complete(solver.name(), &measurements, &mut solution).unwrap();
+        solution
     }
 
     fn lambert(normals: &[Vec3], lights: &[Vec3]) -> Vec<Vec<f32>> {

@@ -7,7 +7,6 @@
 
 use super::lanes::Lanes;
 use super::robust::{self, Block, Thresholds, Weigh, dot, fit};
-use super::uncertainty::Calibration;
 use super::{Measurements, Solution, SolveError, Solver};
 
 /// Sparse Bayesian regression. `Default` has the parameters that `coil tune` found on synthetic pixels.
@@ -65,6 +64,6 @@ impl Solver for SparseBayes {
     }
 
     fn solve(&self, measurements: &Measurements) -> Result<Solution, SolveError> {
-        robust::solve(measurements, &self.thresholds, &Calibration::SPARSE_BAYES, self)
+        robust::solve(measurements, &self.thresholds, self)
     }
 }

@@ -3,7 +3,6 @@
 
 use super::lanes::Lanes;
 use super::robust::{self, Block, Thresholds, Weigh};
-use super::uncertainty::Calibration;
 use super::{Measurements, Solution, SolveError, Solver};
 
 /// Trimmed least squares. `Default` has the fractions that `coil tune` found on synthetic pixels.
@@ -66,7 +65,7 @@ impl Solver for Trimmed {
     }
 
     fn solve(&self, measurements: &Measurements) -> Result<Solution, SolveError> {
-        robust::solve(measurements, &self.thresholds, &Calibration::TRIMMED, self)
+        robust::solve(measurements, &self.thresholds, self)
     }
 }
 

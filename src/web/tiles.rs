@@ -77,6 +77,7 @@ impl Tiles {
             albedo: vec![0.0; pixels],
             validity: vec![Validity::Shadowed; pixels],
             uncertainty: Some(vec![90.0; pixels]),
+            own: Vec::new(),
         };
         let (of, seen, order) = (Rc::clone(of), Rc::clone(seen), levels.concat());
         Ok(Self { of, seen, order, ends, left, given: 0, out })
@@ -163,6 +164,7 @@ impl Tiles {
             albedo: shown.iter().map(|&p| all.albedo[p]).collect(),
             validity: shown.iter().map(|&p| all.validity[p]).collect(),
             uncertainty: all.uncertainty.as_ref().map(|u| shown.iter().map(|&p| u[p]).collect()),
+            own: Vec::new(),
         };
         let errors = self.of.stack.truth.as_ref().map(|truth| {
             // A pixel shows another's error with that one's normal: its own would count the coarseness.
@@ -185,8 +187,9 @@ pub fn solve_piece(solver: &str, lights: &[f32], values: &[f32], count: usize) -
         images: values.chunks_exact(count.max(1)).collect(),
         saturation: None,
     };
-    let mut solution = super::solver(solver)?.solve(&measurements).map_err(fail)?;
-    uncertainty::complete(&measurements, &mut solution).map_err(fail)?;
+    let solver = super::solver(solver)?;
+    let mut solution = solver.solve(&measurements).map_err(fail)?;
+    uncertainty::complete(solver.name(), &measurements, &mut solution).map_err(fail)?;
     let degrees = solution.uncertainty.unwrap_or_default();
     let rows = solution.normals.iter().zip(&solution.albedo).zip(&degrees).zip(&solution.validity);
     Ok(rows

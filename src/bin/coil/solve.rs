@@ -106,7 +106,7 @@ fn one(subject: &Subject, solver: &dyn solve::Solver, args: &Args) -> anyhow::Re
         let begun = Instant::now();
         let mut solution = solver.solve(&measurements)?;
         let seconds = begun.elapsed().as_secs_f64();
-        uncertainty::complete(&measurements, &mut solution)?;
+        uncertainty::complete(solver.name(), &measurements, &mut solution)?;
         let enough = args.stop_at.is_some_and(|s| s.met(&solution, count));
         result = Some((count, seconds, solution));
         if enough {

@@ -1,14 +1,18 @@
-//! `coil tune`: the robust solvers' parameters and the calibration of their uncertainty, from synthetic pixels.
+//! `coil tune`: the robust solvers' parameters and every solver's expected errors, from synthetic pixels.
 
-use coil_ps::pixels::Generator;
-use coil_ps::pixels::tune::{Score, bench, power_law, rendered, score};
+use crate::output;
+use coil_ps::pixels::tune::{Score, bench, score};
+use coil_ps::pixels::{Generator, expectation};
 use coil_ps::render::worlds::Split;
-use coil_ps::solve::uncertainty::Calibration;
 use coil_ps::solve::{self, Irls, Loss, Solver, SparseBayes, Thresholds, Trimmed};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::time::Instant;
 
 /// Prints, for every solver without training, the mean angular error on synthetic pixels over a grid of its
-/// parameters, and the calibration of its uncertainty.
+/// parameters.
 #[derive(clap::Args)]
 pub struct Args {
     /// Seed of the pixels.
@@ -17,28 +21,34 @@ pub struct Args {
     /// Light sets for each number of lights (64 pixels each).
     #[arg(long, default_value_t = 200)]
     sets: usize,
-    /// Rendered training objects that the uncertainty is calibrated on.
-    #[arg(long, default_value_t = 60)]
+    /// Instead fit what errors to expect of every solver, and write the weights to FILE (models/expected-error.json).
+    #[arg(long, value_name = "FILE")]
+    uncertainty: Option<PathBuf>,
+    /// Rendered objects that this is fitted to.
+    #[arg(long, default_value_t = 800)]
     objects: usize,
+    /// Rendered validation objects that it is looked at on.
+    #[arg(long, default_value_t = 50)]
+    checks: usize,
     /// Their size in pixels.
     #[arg(long, default_value_t = 64)]
     size: u32,
-    /// Only the uncertainty, not the grids of parameters.
-    #[arg(long)]
-    uncertainty: bool,
 }
 
 /// Numbers of lights that count alike.
 const LIGHTS: [usize; 4] = [5, 10, 20, 60];
 
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
+    if let Some(out) = &args.uncertainty {
+        return fit_expected(&args, out);
+    }
     let generator = Generator::new(Split::Train);
     let benches: Vec<_> = LIGHTS.iter().map(|&t| bench(&generator, args.seed, t, args.sets, 64)).collect();
     println!(
         "mean angular error in degrees at T = {LIGHTS:?} and over all; seed {}, {} sets",
         args.seed, args.sets
     );
-    for (family, candidates) in if args.uncertainty { Vec::new() } else { grid() } {
+    for (family, candidates) in grid() {
         println!("\n{family}");
         let mut best: Option<(f64, String)> = None;
         for (text, solver) in candidates {
@@ -55,39 +65,47 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
             println!("  best: {text} ({all:.3})");
         }
     }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Fits the expected errors of all solvers, writes them, and prints how they do on objects they were not fitted to.
+fn fit_expected(args: &Args, out: &Path) -> anyhow::Result<ExitCode> {
+    let seconds = Instant::now();
+    let pixels = expectation::pixels(args.objects, args.size).map_err(anyhow::Error::msg)?;
+    let checks = expectation::checks(args.checks, args.size).map_err(anyhow::Error::msg)?;
+    eprintln!("rendered after {:.0} s", seconds.elapsed().as_secs_f64());
     println!(
-        "\nuncertainty of the solvers as they are, on synthetic pixels and then on {} rendered",
-        args.objects
+        "on {} validation objects seen by the rig, T = 10: mean error, mean expected, objects within 2°, median rank correlation",
+        args.checks
     );
-    println!(
-        "training objects: mean error, mean expected, rank correlation at each T; the calibration they ask for"
-    );
-    let objects = LIGHTS.iter().map(|&t| rendered(args.objects, t, args.size)).collect::<Result<Vec<_>, _>>();
-    let objects = objects.map_err(anyhow::Error::msg)?;
-    for (name, _) in solve::SOLVERS {
-        let Some(now) = Calibration::of(name) else { continue };
-        let solver = solve::by_name(name)?;
-        for (of_objects, benches) in [(false, &benches), (true, &objects)] {
-            let scores = benches.iter().map(|b| score(&*solver, b)).collect::<Result<Vec<_>, _>>()?;
-            let cells: String = scores
-                .iter()
-                .map(|s| format!("  {:5.2} {:5.2} {:.2}", s.mean(), s.mean_expected(), s.rank_correlation()))
-                .collect();
-            let mut all = Score::default();
-            for s in scores {
-                all.errors.extend(s.errors);
-                all.expected.extend(s.expected);
+    let fitted: Vec<anyhow::Result<_>> = solve::SOLVERS
+        .par_iter()
+        .map(|&(name, _)| {
+            let solver = solve::by_name(name)?;
+            let judge = expectation::fit(&expectation::samples(&*solver, &pixels)?, args.seed);
+            let mut line = format!("{name:8}");
+            for (lights, objects) in &checks {
+                let c = expectation::check(&*solver, &judge, objects)?;
+                line += &format!(
+                    "  {lights} {:5.2} {:5.2} {:3.0} % {:.2}",
+                    c.mean,
+                    c.expected,
+                    100.0 * c.within,
+                    c.rank
+                );
             }
-            let (factor, exponent) = power_law(&all.expected, &all.errors);
-            let (factor, exponent) = (factor * now.factor.powf(exponent), exponent * now.exponent);
-            let asked = if of_objects {
-                format!("   factor: {factor:.1}, exponent: {exponent:.3}")
-            } else {
-                String::new()
-            };
-            println!("  {name:8}{cells}{asked}");
-        }
-    }
+            println!("{line}");
+            Ok((name, judge))
+        })
+        .collect();
+    let judges = fitted.into_iter().collect::<anyhow::Result<BTreeMap<_, _>>>()?;
+    // A line a solver: readable differences, and no more bytes than needed in the page.
+    let lines: Vec<String> = judges
+        .iter()
+        .map(|(name, judge)| Ok(format!("\"{name}\": {}", serde_json::to_string(judge)?)))
+        .collect::<anyhow::Result<_>>()?;
+    output::write(out, format!("{{\n{}\n}}\n", lines.join(",\n")).as_bytes())?;
+    eprintln!("{:.0} s", seconds.elapsed().as_secs_f64());
     Ok(ExitCode::SUCCESS)
 }
 

@@ -9,10 +9,11 @@
 pub mod network;
 pub mod onnx;
 
-use super::uncertainty::Calibration;
-use super::{Irls, LeastSquares, Loss, Measurements, Solution, SolveError, Solver, Validity};
+use super::expectation::Own;
+use super::{Irls, LeastSquares, Loss, Measurements, Solution, SolveError, Solver};
 use glam::Vec3;
 use network::{INPUTS, Network, OUTPUTS, Tape, WIDTH, Wide};
+use std::f32::consts::FRAC_PI_2;
 use std::sync::Arc;
 #[cfg(not(target_arch = "wasm32"))]
 use std::sync::LazyLock;
@@ -175,7 +176,8 @@ impl Solver for PixelNetwork {
             normals: Vec::with_capacity(pixels),
             albedo: Vec::with_capacity(pixels),
             validity: Vec::with_capacity(pixels),
-            uncertainty: Some(Vec::with_capacity(pixels)),
+            uncertainty: None,
+            own: Vec::with_capacity(pixels),
         };
         for first in (0..pixels).step_by(TILE) {
             let tile = measurements.range(first, pixels.min(first + TILE));
@@ -208,10 +210,8 @@ fn push(out: &mut Solution, robust: &Solution, p: usize, frame: &Frame, [x, y, z
     out.normals.push(normal);
     out.albedo.push(robust.albedo[p]);
     out.validity.push(robust.validity[p]);
-    let dark = robust.validity[p] != Validity::Valid && robust.albedo[p] == 0.0;
-    if let Some(degrees) = &mut out.uncertainty {
-        degrees.push(if usable && !dark { Calibration::PIXEL.degrees(expected_error(log)) } else { 90.0 });
-    }
+    let expected = if usable { expected_error(log) } else { FRAC_PI_2 };
+    out.own.push(Own { expected, moved: crate::error::unit_angle(normal, robust.normals[p]) });
 }
 
 #[cfg(test)]
@@ -230,7 +230,7 @@ mod tests {
         let whole = solver.solve(&m).unwrap();
         let part = solver.solve(&m.range(TILE - 3, TILE + 30)).unwrap();
         assert_eq!(whole.normals[TILE - 3..TILE + 30], part.normals);
-        assert_eq!(whole.uncertainty.unwrap()[TILE - 3..TILE + 30], part.uncertainty.unwrap());
+        assert_eq!(whole.own[TILE - 3..TILE + 30], part.own);
     }
 
     #[test]
