@@ -106,7 +106,9 @@ fn one(subject: &Subject, solver: &dyn solve::Solver, args: &Args) -> anyhow::Re
         let begun = Instant::now();
         let mut solution = solver.solve(&measurements)?;
         let seconds = begun.elapsed().as_secs_f64();
+        let begun = Instant::now();
         uncertainty::complete(solver.name(), &measurements, &mut solution)?;
+        let seconds = (seconds, begun.elapsed().as_secs_f64());
         let enough = args.stop_at.is_some_and(|s| s.met(&solution, count));
         result = Some((count, seconds, solution));
         if enough {
@@ -116,7 +118,7 @@ fn one(subject: &Subject, solver: &dyn solve::Solver, args: &Args) -> anyhow::Re
     let (count, seconds, solution) = result.context("no picture was taken")?;
     let truth = subject.truth().map(|t| error::error_map(&solution.normals, t));
     println!(
-        "{}: {} pixels, {count} lights, {}: expected {:.2}°{}, {:.1} % valid, {:.0} ms",
+        "{}: {} pixels, {count} lights, {}: expected {:.2}°{}, {:.1} % valid, {:.0} ms, expected errors {:.0} ms",
         subject.name(),
         solution.normals.len(),
         solver.name(),
@@ -127,7 +129,8 @@ fn one(subject: &Subject, solver: &dyn solve::Solver, args: &Args) -> anyhow::Re
             format!(", true {:.2}° (rank correlation {rank:.2})", t.mae)
         }),
         100.0 * uncertainty::coverage(&solution),
-        1e3 * seconds,
+        1e3 * seconds.0,
+        1e3 * seconds.1,
     );
     if let Some(dir) = &args.out {
         write(subject, &solution, truth.as_ref(), &dir.join(output::safe(subject.name())), args)?;
