@@ -871,7 +871,9 @@ impl Simulated {
             self.wait = Wait::None;
             self.led = self.door_led;
             self.flood = self.door_flood;
-            self.ovr_counter = 0;
+            if self.led > 0.0 || self.flood {
+                self.ovr_counter = 0;
+            }
             self.resume_motion();
         }
         if self.alarm != 0 {
