@@ -115,7 +115,7 @@ int main(int argc, char **argv) {
     if (ahead > 0.001) {
       struct timespec rest = { 0, (long)(1e9 * ahead) };
       nanosleep(&rest, NULL);
-    } else if (-ahead > behind + 0.1) {
+    } else if (-ahead > 2 * behind + 0.5) {
       behind = -ahead;
       fprintf(stderr, "%.1f s behind real time: this machine is busy\n", behind);
     }
