@@ -533,7 +533,9 @@ export async function mount(root, page) {
   plot = new Plot(limits);
   $(".rig-dome").append(plot.element);
   const catalogue = await page.engine.call("catalogue", {});
-  select(".rig-planner").replaceChildren(...catalogue.planners.filter(p => !p.oracle).map(p => html("option", { value: p.name, selected: p.name === "tk22" }, p.label)));
+  const planners = catalogue.planners.filter(p => !p.oracle);
+  const ours = ["coil", "tk22"].find(name => planners.some(p => p.name === name)); // coil, where its module is built
+  select(".rig-planner").replaceChildren(...planners.map(p => html("option", { value: p.name, selected: p.name === ours }, p.label)));
   select(".rig-solver").replaceChildren(...catalogue.solvers.filter(s => s.name !== "pixel").map(s => html("option", { value: s.name, selected: s.name === "trimmed", title: s.about }, s.name)));
   await listPorts();
   former = folder;
