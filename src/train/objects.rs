@@ -4,9 +4,9 @@ use super::fit::Pool;
 use super::formation::Scene;
 use super::formation::Shading;
 use crate::render::{
-    self, Errors, Options, Pose, Tolerances, View,
+    self, Errors, Mesh, Options, Pose, RenderError, Shape, Tolerances, View,
     horizon::{Exchange, Horizon},
-    worlds,
+    worlds::{self, Object},
 };
 use crate::rng::Rng;
 use crate::stack::Mask;
@@ -113,14 +113,28 @@ impl Pool for Training {
     }
 }
 
-/// The first validation objects of `worlds`, with one bounce of light and hard shadows.
-#[must_use]
-pub fn validation(count: usize, size: u32) -> Vec<Box<dyn Scene>> {
+/// Validation objects, with one bounce of light and hard shadows: the first ones of `worlds`; with meshes these in turn, each
+/// time in another pose and with another finish of the validation materials.
+///
+/// # Errors
+/// A mesh that can't be rendered.
+pub fn validation(
+    meshes: &[(String, Mesh)],
+    count: usize,
+    size: u32,
+) -> Result<Vec<Box<dyn Scene>>, RenderError> {
     let options = Options { size, softness: 0.0, ..Options::default() };
     (0..count)
         .map(|i| {
-            let scene = worlds::validation(SEED, i).scene(&options).expect("a sculpture can be seen");
-            Box::new(Real::new(scene, i as u64)) as Box<dyn Scene>
+            let object = match meshes {
+                [] => worlds::validation(SEED, i),
+                _ => {
+                    let (name, mesh) = &meshes[i % meshes.len()];
+                    let rng = &mut Rng::stream(SEED, i as u64);
+                    Object::dressed(name, Shape::Mesh(mesh.clone()), worlds::Split::Validation, rng)
+                }
+            };
+            Ok(Box::new(Real::new(object.scene(&options)?, i as u64)) as Box<dyn Scene>)
         })
         .collect()
 }
@@ -128,6 +142,19 @@ pub fn validation(count: usize, size: u32) -> Vec<Box<dyn Scene>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn meshes_are_validated_on_in_turn_each_time_otherwise() {
+        let tent = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nv 0 0 1\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\n";
+        let mesh = |name: &str| (name.to_owned(), Mesh::from_bytes("tent.obj", tent.as_bytes()).unwrap());
+        let scenes = validation(&[mesh("a"), mesh("b")], 3, 24).unwrap();
+        let seen: Vec<_> = scenes.iter().map(|s| s.image(Vec3::Z)).collect();
+        assert!(seen[0] != seen[2] && seen[0] != seen[1]);
+        assert_eq!(
+            validation(&[], 1, 24).unwrap()[0].image(Vec3::Z),
+            validation(&[], 2, 24).unwrap()[0].image(Vec3::Z)
+        );
+    }
 
     #[test]
     fn the_pool_repeats_itself() {

@@ -4,6 +4,7 @@ use anyhow::{Context, bail};
 use clap::ValueEnum;
 use coil_ps::light::{fibonacci_hemisphere, ring};
 use coil_ps::policy::Config;
+use coil_ps::render::Mesh;
 use coil_ps::train::compute::{Compute, Processor};
 use coil_ps::train::fit::{Recipe, Report, Trainer};
 use coil_ps::train::formation::Scene;
@@ -106,6 +107,9 @@ pub struct Args {
     /// Objects to validate on.
     #[arg(long, default_value_t = 32)]
     validation_objects: usize,
+    /// Folder of meshes (.obj, .ply, .stl) to validate on, in turn; without it sculptures that are not trained on.
+    #[arg(long, value_name = "DIR")]
+    validation_meshes: Option<PathBuf>,
     /// Seconds after which to stop; go on later with --resume.
     #[arg(long)]
     seconds: Option<u64>,
@@ -170,7 +174,8 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     };
     let compute = Compute::new(processor, threads)?;
     let pool = objects::Training::new(trainer.recipe.resolution, trainer.recipe.softness);
-    let scenes = objects::validation(args.validation_objects, trainer.recipe.resolution);
+    let meshes = args.validation_meshes.as_deref().map(read_meshes).transpose()?.unwrap_or_default();
+    let scenes = objects::validation(&meshes, args.validation_objects, trainer.recipe.resolution)?;
     eprintln!(
         "{} weights, {} validation objects, {} of {} updates made",
         trainer.weights.count(),
@@ -314,6 +319,27 @@ fn resume(dir: &Path) -> anyhow::Result<Trainer> {
     let path = dir.join("checkpoint");
     let bytes = fs::read(&path).with_context(|| format!("no run in {}", dir.display()))?;
     checkpoint::read(&bytes).with_context(|| path.display().to_string())
+}
+
+/// The meshes of a folder, by name.
+fn read_meshes(dir: &Path) -> anyhow::Result<Vec<(String, Mesh)>> {
+    let mut files = Vec::new();
+    for entry in fs::read_dir(dir).with_context(|| dir.display().to_string())? {
+        files.push(entry?.path());
+    }
+    files.retain(|f| {
+        f.extension().is_some_and(|e| ["obj", "ply", "stl"].iter().any(|m| e.eq_ignore_ascii_case(m)))
+    });
+    files.sort();
+    if files.is_empty() {
+        bail!("{}: no mesh (.obj, .ply, .stl)", dir.display());
+    }
+    let read = |file: &PathBuf| -> anyhow::Result<(String, Mesh)> {
+        let name = file.display().to_string();
+        let bytes = fs::read(file).with_context(|| name.clone())?;
+        Ok((name.clone(), Mesh::from_bytes(&name, &bytes).context(name)?))
+    };
+    files.iter().map(read).collect()
 }
 
 /// A new run of the network, and with the best weights, of the run in `from`.
