@@ -39,9 +39,8 @@ fn least_squares_on_all_lights_is_as_published() {
     }
 }
 
-/// Protocol 128, T = 10: within 0.8° of the paper's entries (shared/spec/evaluation.md), but for two on reading. Random
-/// has a mean of 17.97 over 2000 draws (standard deviation of a draw 1.13), 0.94° above the paper's entry; LIPIDS's
-/// published set gives 17.59 here as in the specification's own reproduction, 0.83° above.
+/// Protocol 128, T = 10: within 0.8° of the paper's entries (shared/spec/evaluation.md), but for Random on reading, whose
+/// mean over 2000 draws is 17.97, 0.94° above the paper's entry; one draw has a standard deviation of 1.13° there.
 #[test]
 fn protocol_128_lands_near_the_papers_entries() {
     let planners = ["random", "dc05", "tk22", "lipids"];
@@ -57,7 +56,6 @@ fn protocol_128_lands_near_the_papers_entries() {
             println!("{object} {}: {mae:.2}, draw 0 {first:.2} (paper {paper})", row.planner);
             let tolerance = match (object, row.planner.as_str()) {
                 ("reading", "random") => 1.1,
-                ("reading", "lipids") => 0.9,
                 _ => 0.8,
             };
             assert!((mae - paper).abs() <= tolerance, "{object} {}: {mae:.2}, paper {paper}", row.planner);

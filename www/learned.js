@@ -10,7 +10,7 @@
  * What only the second build has.
  * @typedef {object} PolicyModels
  * @property {(name: string, encoder: Uint8Array, step: Uint8Array) => void} add
- * @property {(name: string, observations: Observations) => Insight | undefined} insight
+ * @property {(name: string, observations: Observations, lights: number) => Insight | undefined} insight
  *
  * @typedef {object} Insight
  * @property {(observations: Observations, i: number) => Float32Array} observe
@@ -63,9 +63,10 @@ export class Models {
    * A network at work; undefined where it is not loaded.
    * @param {string} name
    * @param {Observations} observations
+   * @param {number} lights how many pictures the run has
    */
-  insight(name, observations) {
-    return this.#models.insight(name, observations);
+  insight(name, observations, lights) {
+    return this.#models.insight(name, observations, lights);
   }
 
   /** Lets an evaluation or a rig use them. @param {Evaluation | Rig} user */

@@ -158,9 +158,9 @@ const answers = {
     }
   },
 
-  insight({ planner }) {
+  insight({ planner, lights }) {
     const observations = state.shown?.observations;
-    const insight = observations && models?.insight(planner, observations);
+    const insight = observations && models?.insight(planner, observations, lights);
     if (!insight) return null;
     /** @type {number[]} */
     const milliseconds = [];

@@ -44,6 +44,8 @@ def main(folder: Path, trace_path: Path) -> int:
                 "light": np.array([picture["light"]], np.float32),
                 "reach": np.array([[run["reach"]]], np.float32),
             }
+            if "lights" in shapes:
+                inputs["lights"] = np.array([len(run["pictures"])], np.int64)
             if "position" in shapes:
                 inputs["position"] = np.array([i], np.int64)
             if caches:

@@ -37,7 +37,7 @@ const { ours, theirs, apart } = await page.evaluate(async ({ encoder, step, sequ
   const [ours, theirs] = [0, 1].map(() => Array.from({ length: steps }, () => []));
   let apart = 0;
   for (let s = 0; s < sequences; s += 1) {
-    runner.start(new Uint8Array(cells).fill(1), side, side, 90);
+    runner.start(new Uint8Array(cells).fill(1), side, side, 90, steps);
     const caches = Object.fromEntries(["keys", "values"].filter(name => name in shapes)
       .map(name => [name, new Float32Array(shapes[name].reduce((a, b) => a * b))]));
     let light = new Float32Array([0, 0, 1]);
@@ -62,6 +62,7 @@ const { ours, theirs, apart } = await page.evaluate(async ({ encoder, step, sequ
       for (let p = 0; p < cells; p += 1) for (let c = 0; c < 3; c += 1) frame[c * cells + p] = Math.min(2, rgb[3 * p + c] / white);
       const { features } = await first.run({ frame: new ort.Tensor("float32", frame, [1, 3, side, side]) }, ["features"]);
       const inputs = { features, light: new ort.Tensor("float32", light, [1, 3]), reach: new ort.Tensor("float32", [1], [1, 1]) };
+      if ("lights" in shapes) inputs.lights = new ort.Tensor("int64", [BigInt(steps)], [1]);
       if ("position" in shapes) inputs.position = new ort.Tensor("int64", [BigInt(i)], [1]);
       for (const [name, cache] of Object.entries(caches)) inputs[name] = new ort.Tensor("float32", cache, shapes[name]);
       const out = await second.run(inputs);

@@ -376,7 +376,7 @@ pub struct Row {
     pub mae: Option<f64>,
     /// 95 % interval of `mae`, degrees. Both ends are `mae` where nothing was repeated because nothing is random.
     pub ci95: Option<[f64; 2]>,
-    /// MAE of draw 0: the planner as published, not turned or jittered.
+    /// MAE of draw 0: the planner as published, not turned, and beginning where it should.
     pub mae_as_published: Option<f64>,
     /// MAE of each draw, degrees.
     pub maes: Vec<f64>,

@@ -48,7 +48,8 @@ const GOLDEN: f32 = 2.399_963;
 
 impl Planner for Coil {
     fn next(&mut self, view: &View) -> Result<Vec3, PlanError> {
-        let run = self.run.get_or_insert_with(|| self.policy.start(view.mask, view.domain.reach()));
+        let run =
+            self.run.get_or_insert_with(|| self.policy.start(view.mask, view.domain.reach(), view.lights));
         for seen in &view.seen[run.seen()..] {
             let grey;
             let rgb = if self.blank {

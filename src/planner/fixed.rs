@@ -1,6 +1,6 @@
 //! Light sets fixed before the first picture: DC05's optimal rings, LIPIDS's published sets, a ring of any slant.
 
-use super::{PlanError, Planner, View, jitter};
+use super::{PlanError, Planner, View};
 use crate::camera::Domain;
 use crate::light::{self, ring, rotate_about_axis};
 use crate::rng::Rng;
@@ -122,8 +122,8 @@ pub fn lipids(lights: usize) -> Result<Vec<Vec3>, PlanError> {
     Ok(set.iter().map(|&l| Vec3::from(l).normalize()).collect())
 }
 
-/// The same set for another draw: turned about the optical axis by a random angle (rings), so that a
-/// deterministic planner gets an interval too. Draw 0 is the set as published.
+/// The same set for another draw: turned about the optical axis by a random angle, as an object may stand in any way before
+/// it, so that a deterministic planner gets an interval too. Draw 0 is the set as published.
 #[must_use]
 pub(super) fn turned(set: Vec<Vec3>, draw: usize, rng: &mut Rng) -> Vec<Vec3> {
     if draw == 0 {
@@ -131,12 +131,6 @@ pub(super) fn turned(set: Vec<Vec3>, draw: usize, rng: &mut Rng) -> Vec<Vec3> {
     }
     let angle = rng.range(0.0, TAU);
     set.into_iter().map(|d| rotate_about_axis(d, angle)).collect()
-}
-
-/// As [`turned`], for sets that have a fixed orientation: each direction is moved a little.
-#[must_use]
-pub(super) fn jittered(set: Vec<Vec3>, draw: usize, rng: &mut Rng) -> Vec<Vec3> {
-    if draw == 0 { set } else { set.into_iter().map(|d| jitter(d, rng)).collect() }
 }
 
 #[cfg(test)]

@@ -288,7 +288,7 @@ pub fn build<'a>(name: &str, setup: &Setup<'a>) -> Result<Box<dyn Planner + 'a>,
             let set = light::ring(lights, ring_slant(name).unwrap_or(FRAC_PI_2), 0.0);
             Box::new(fixed::FixedSet::new(fixed::turned(set, draw, &mut rng)))
         }
-        "lipids" => Box::new(fixed::FixedSet::new(fixed::jittered(fixed::lipids(lights)?, draw, &mut rng))),
+        "lipids" => Box::new(fixed::FixedSet::new(fixed::turned(fixed::lipids(lights)?, draw, &mut rng))),
         "tk22" => Box::new(tk22::Tk22::new(start(&mut rng), rng)),
         name if name.starts_with("coil") => {
             let what = "its trained network (files in models/; on the command line a build with the feature policy, as the \

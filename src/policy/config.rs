@@ -5,6 +5,9 @@ use serde::{Deserialize, Serialize};
 /// Version of the model files this build reads and writes.
 pub const FORMAT: u32 = 1;
 
+/// Fewest pictures that normals can be solved from.
+const FEWEST: usize = 3;
+
 /// Every size of the network of `policy-network.md`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Config {
@@ -35,6 +38,10 @@ pub struct Config {
     /// A learned direction for each step, to which the decoder adds what it sees. Not in the paper, whose network must learn to
     /// tell its steps apart from the positional encoding alone.
     pub base: bool,
+    /// Largest number of pictures T that the policy was trained to plan for and is told; 0: it isn't told how many there will be. Not in
+    /// the paper, whose policy places its third light alike whether it is the last or the third of ten.
+    #[serde(default)]
+    pub horizon: usize,
     /// Causal transformer and positional encoding; without them each frame stands alone (the other ablation).
     pub transformer: bool,
 }
@@ -57,6 +64,7 @@ impl Config {
             max_frames: 32,
             gating: true,
             base: false,
+            horizon: 0,
             transformer: true,
         }
     }
@@ -122,6 +130,12 @@ impl Config {
         self.transformer || self.base
     }
 
+    /// What the policy is told where `lights` pictures are planned: a number of pictures that it was trained for.
+    #[must_use]
+    pub fn told(&self, lights: usize) -> usize {
+        lights.clamp(FEWEST.min(self.horizon), self.horizon)
+    }
+
     /// Refuses sizes the network can't be built with; a damaged model file must not ask for any memory it likes.
     ///
     /// # Errors
@@ -150,6 +164,12 @@ impl Config {
         }
         if !self.channels[3].is_multiple_of(4) {
             return Err(format!("{} feature channels: must be a multiple of 4", self.channels[3]));
+        }
+        if self.horizon > self.max_frames || (self.horizon > 0 && (!self.base || self.horizon < FEWEST)) {
+            return Err(format!(
+                "a horizon of {} pictures: 0, or {FEWEST} to {} with a learned base",
+                self.horizon, self.max_frames
+            ));
         }
         if self.layers > 16 || !(2..=256).contains(&self.max_frames) {
             return Err(format!(
@@ -193,6 +213,15 @@ mod tests {
         assert!(Config::by_name("huge").is_err());
         assert!(Config { input: 33, ..Config::compact() }.check().is_err());
         assert!(Config { heads: 7, ..Config::compact() }.check().is_err());
+        assert!(Config { horizon: 33, ..Config::compact() }.check().is_err());
+        assert!(Config { horizon: 10, base: false, ..Config::compact() }.check().is_err());
+    }
+
+    #[test]
+    fn the_policy_is_told_only_what_it_was_trained_for() {
+        let told = |horizon, lights| Config { horizon, ..Config::compact() }.told(lights);
+        assert_eq!([told(10, 5), told(10, 20), told(10, 1)], [5, 10, 3]);
+        assert_eq!(told(0, 5), 0);
     }
 
     #[test]

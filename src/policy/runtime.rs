@@ -55,9 +55,9 @@ impl Policy {
         &self.header
     }
 
-    /// A new sequence: an object's mask, and the largest slant of a light, radians.
+    /// A new sequence: an object's mask, the largest slant of a light (radians), and how many pictures there will be.
     #[must_use]
-    pub fn start(&self, mask: &Mask, reach: f32) -> Sequence {
+    pub fn start(&self, mask: &Mask, reach: f32, lights: usize) -> Sequence {
         let config = self.header.config.clone();
         let cache = if config.transformer { config.cache_shape().iter().product() } else { 0 };
         Sequence {
@@ -65,6 +65,7 @@ impl Policy {
             crop: Crop::new(mask, config.input),
             pixels: mask.len(),
             reach: (reach / FRAC_PI_2).clamp(SMALLEST_REACH, 1.0),
+            told: config.told(lights),
             white: None,
             position: 0,
             keys: vec![0.0; cache],
@@ -81,6 +82,8 @@ pub struct Sequence {
     crop: Crop,
     pixels: usize,
     reach: f32,
+    /// Number of pictures that the policy is told.
+    told: usize,
     white: Option<f32>,
     position: usize,
     keys: Vec<f32>,
@@ -151,6 +154,9 @@ impl Sequence {
             Some(gate) => Some(floats(gate)?),
             None => None,
         };
+        if config.horizon > 0 {
+            inputs.push(Tensor::from_shape(&[1], &[self.told as i64])?.into());
+        }
         if config.counts_steps() {
             inputs.push(Tensor::from_shape(&[1], &[self.position as i64])?.into());
         }

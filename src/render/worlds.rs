@@ -184,19 +184,14 @@ pub fn validation(seed: u64, number: usize) -> Object {
 /// [`RenderError::Numbers`] for a range that can't be read; [`RenderError::Sculpture`] or [`RenderError::Material`] for
 /// a name that is none of these.
 pub fn objects(name: &str) -> Result<Vec<Object>, RenderError> {
-    let (set, numbers) = name.split_once(':').unwrap_or((name, ""));
-    let (make, all): (fn(usize) -> Object, usize) = match set {
-        NAME => (test_object, TEST_OBJECTS),
-        "worlds-train" => (|i| training(1, i), DRAWN),
-        "worlds-validate" => (|i| validation(1, i), DRAWN),
-        _ => {
-            let (sculpture, material) = name.split_once('+').unwrap_or((name, MATERIAL));
-            let material: Material = material.parse()?;
-            let shape = Shape::Sculpture(Sculpture::named(sculpture)?);
-            let rotation = shape.front();
-            let name = name.replace([':', '+'], "-");
-            return Ok(vec![Object { name, shape, rotation, finish: material.into() }]);
-        }
+    let (first, numbers) = name.split_once(':').unwrap_or((name, ""));
+    let Some(&(_, make, all)) = SETS.iter().find(|set| set.0 == first) else {
+        let (sculpture, material) = name.split_once('+').unwrap_or((name, MATERIAL));
+        let material: Material = material.parse()?;
+        let shape = Shape::Sculpture(Sculpture::named(sculpture)?);
+        let rotation = shape.front();
+        let name = name.replace([':', '+'], "-");
+        return Ok(vec![Object { name, shape, rotation, finish: material.into() }]);
     };
     let wrong = || RenderError::Numbers { name: name.into(), last: all - 1 };
     let number = |text: &str| text.parse::<usize>().ok().filter(|&i| i < all).ok_or_else(wrong);
@@ -213,6 +208,22 @@ pub fn objects(name: &str) -> Result<Vec<Object>, RenderError> {
 
 /// So many objects of the endless sequences can be named.
 const DRAWN: usize = 1_000_000;
+
+/// Name, objects, number of objects.
+type Set = (&'static str, fn(usize) -> Object, usize);
+
+const SETS: [Set; 3] = [
+    (NAME, test_object, TEST_OBJECTS),
+    ("worlds-train", |i| training(1, i), DRAWN),
+    ("worlds-validate", |i| validation(1, i), DRAWN),
+];
+
+/// Whether [`objects`] takes this name for objects that have their own materials and poses, not for one sculpture.
+#[must_use]
+pub fn is_set(name: &str) -> bool {
+    let first = name.split(':').next();
+    SETS.iter().any(|set| Some(set.0) == first)
+}
 
 /// Material of a sculpture that is named without one.
 pub const MATERIAL: &str = "specular-maroon-phenolic";

@@ -34,6 +34,9 @@ pub fn export(weights: &Weights, note: &str) -> ModelFiles {
     let features = o.graph.input("features", &[1, c, g, g]);
     o.light = Some(o.graph.input("light", &[1, 3]));
     o.reach = Some(o.graph.input("reach", &[1, 1]));
+    if config.horizon > 0 {
+        o.lights = Some(o.graph.input_int("lights", &[1]));
+    }
     if config.counts_steps() {
         o.position = Some(o.graph.input_int("position", &[1]));
     }
@@ -59,6 +62,7 @@ struct Exporter<'a> {
     weights: &'a Weights,
     light: Option<Value>,
     reach: Option<Value>,
+    lights: Option<Value>,
     position: Option<Value>,
     keys: Option<Value>,
     values: Option<Value>,
@@ -73,6 +77,7 @@ impl<'a> Exporter<'a> {
             weights,
             light: None,
             reach: None,
+            lights: None,
             position: None,
             keys: None,
             values: None,
@@ -117,6 +122,11 @@ impl<'a> Exporter<'a> {
             })
             .collect();
         self.graph.node(op, &[a, b], &[], &dims)
+    }
+
+    /// The row of a table that an integer input names.
+    fn gather(&mut self, table: &Value, row: &Value, dims: &[usize]) -> Value {
+        self.graph.node("Gather", &[table, row], &[("axis", Attribute::Int(0))], dims)
     }
 
     fn unary(&mut self, op: &str, x: &Value) -> Value {
@@ -298,8 +308,7 @@ impl Ops for Exporter<'_> {
         let table: Vec<f32> = (0..config.max_frames).flat_map(|i| config.position(i)).collect();
         let table = self.graph.constant("positions", &[config.max_frames, config.width], &table);
         let position = self.position.clone().expect("set by export");
-        let row =
-            self.graph.node("Gather", &[&table, &position], &[("axis", Attribute::Int(0))], &[1, x.dims[1]]);
+        let row = self.gather(&table, &position, &[1, x.dims[1]]);
         self.binary("Add", &x, &row)
     }
 
@@ -347,13 +356,26 @@ impl Ops for Exporter<'_> {
 
     fn light(&mut self) -> Value {
         let [light, reach] = [&self.light, &self.reach].map(|v| v.clone().expect("set by export"));
-        self.graph.concat(&[&light, &reach], 1)
+        let Some(lights) = self.lights.clone() else { return self.graph.concat(&[&light, &reach], 1) };
+        let horizon = self.weights.config.horizon;
+        let shares: Vec<f32> = (0..=horizon).map(|t| t as f32 / horizon as f32).collect();
+        let shares = self.graph.constant("lights.shares", &[horizon + 1, 1], &shares);
+        let told = self.gather(&shares, &lights, &[1, 1]);
+        self.graph.concat(&[&light, &reach, &told], 1)
     }
 
     fn add_base(&mut self, x: Value) -> Value {
         let table = self.param("head.base");
         let position = self.position.clone().expect("set by export");
-        let row = self.graph.node("Gather", &[&table, &position], &[("axis", Attribute::Int(0))], &[1, 3]);
+        let row = self.gather(&table, &position, &[1, 3]);
+        let x = self.binary("Add", &x, &row);
+        let Some(lights) = self.lights.clone() else { return x };
+        let table = self.param("head.horizon");
+        let (frames, horizon) = (self.weights.config.max_frames, self.weights.config.horizon);
+        let table = self.graph.reshape(&table, &[horizon + 1, frames, 3]);
+        let table = self.gather(&table, &lights, &[1, frames, 3]);
+        let table = self.graph.reshape(&table, &[frames, 3]);
+        let row = self.gather(&table, &position, &[1, 3]);
         self.binary("Add", &x, &row)
     }
 
@@ -405,10 +427,15 @@ mod tests {
     use burn::tensor::Device;
     use glam::Vec3;
 
-    fn networks() -> [Weights; 3] {
+    fn networks() -> [Weights; 4] {
         let c = Config::compact();
-        let mut all = [c.clone(), Config { gating: false, ..c.clone() }, Config { transformer: false, ..c }]
-            .map(|c| Weights::new(&c, 5));
+        let mut all = [
+            c.clone(),
+            Config { horizon: 10, ..c.clone() },
+            Config { gating: false, ..c.clone() },
+            Config { transformer: false, ..c },
+        ]
+        .map(|c| Weights::new(&c, 5));
         // As after some training: biases and gains are not what they were at the start.
         let mut rng = Rng::new(6);
         for p in all.iter_mut().flat_map(|w| &mut w.params) {
@@ -426,8 +453,8 @@ mod tests {
             let net = Network::new(&folded, &device);
             let mask = Mask::full(40, 30).unwrap();
             let reach = 1.1f32;
-            let mut run = policy.start(&mask, reach);
-            let mut sequence = net.start();
+            let mut run = policy.start(&mask, reach, 7);
+            let mut sequence = net.start(7);
             let crop = Crop::new(&mask, weights.config.input);
             let mut rng = Rng::new(7);
             let mut light = Vec3::Z;
@@ -457,13 +484,13 @@ mod tests {
 
     #[test]
     fn a_run_is_deterministic_and_refuses_what_does_not_fit() {
-        let [_, _, weights] = networks();
+        let [.., weights] = networks();
         let policy = Policy::load(&export(&weights, "")).unwrap();
         let mask = Mask::full(9, 9).unwrap();
         let rgb = vec![[0.5; 3]; 81];
-        let first = policy.start(&mask, 1.5).observe(&rgb, Vec3::Z).unwrap();
-        assert_eq!(policy.start(&mask, 1.5).observe(&rgb, Vec3::Z).unwrap(), first);
-        let mut run = policy.start(&mask, 1.5);
+        let first = policy.start(&mask, 1.5, 10).observe(&rgb, Vec3::Z).unwrap();
+        assert_eq!(policy.start(&mask, 1.5, 10).observe(&rgb, Vec3::Z).unwrap(), first);
+        let mut run = policy.start(&mask, 1.5, 10);
         assert!(run.observe(&rgb[1..], Vec3::Z).is_err());
         assert!(run.observe(&[[f32::NAN; 3]; 81], Vec3::Z).is_err());
         assert!(run.observe(&rgb, Vec3::NAN).is_err());

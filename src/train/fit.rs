@@ -22,6 +22,9 @@ pub struct Recipe {
     /// The run whose best weights this one began with, if it did not begin with fresh ones.
     #[serde(default)]
     pub from: Option<String>,
+    /// Folder of meshes that some of the training objects are; without it all are sculptures.
+    #[serde(default)]
+    pub meshes: Option<String>,
     /// Objects in the training pool.
     pub objects: usize,
     /// Side of the training pictures, pixels.
@@ -80,6 +83,8 @@ fn fourth() -> usize {
 const SHORTEST_REACH: f32 = 25.0 * PI / 180.0;
 /// Largest reach of the finite light sets, radians (65°).
 const LONGEST_STAGE: f32 = 65.0 * PI / 180.0;
+/// Makes the numbers of pictures of the updates independent of what else is drawn.
+const LENGTHS: u64 = 0x6c65_6e67;
 /// Stored lights of soft interpolation (the paper's K).
 const STORED: usize = 1000;
 
@@ -91,6 +96,7 @@ impl Recipe {
             config: Config::compact(),
             seed: 1,
             from: None,
+            meshes: None,
             objects: 2000,
             resolution: 40,
             steps: 3000,
@@ -154,6 +160,12 @@ impl Recipe {
         if !(4..=self.config.max_frames).contains(&self.lights) {
             return Err(format!("{} lights: 4 to {}", self.lights, self.config.max_frames));
         }
+        if self.config.horizon > 0 && self.config.horizon != self.lights {
+            return Err(format!(
+                "a policy told of up to {} pictures in sequences of {}: the two must be equal",
+                self.config.horizon, self.lights
+            ));
+        }
         if !(3..=self.lights).contains(&self.first_loss) {
             return Err(format!("loss from picture {} on: 3 to {}", self.first_loss, self.lights));
         }
@@ -180,14 +192,25 @@ impl Recipe {
         self.rate * warm * fall
     }
 
-    fn conditions(&self) -> Conditions {
+    /// How the sequences of update `step` are run. A policy that is told how many pictures there will be learns to plan for any
+    /// number, half of the time for the largest, and the error after the last one counts alone.
+    fn conditions(&self, step: u64) -> Conditions {
+        let mut rng = Rng::stream(self.seed ^ LENGTHS, step);
+        let (lights, first_loss) = match self.config.horizon {
+            0 => (self.lights, self.first_loss),
+            _ if rng.uniform() < 0.5 => (self.lights, self.lights),
+            _ => {
+                let lights = 3 + rng.below(self.lights - 3);
+                (lights, lights)
+            }
+        };
         Conditions {
-            lights: self.lights,
+            lights,
             blank: self.blank,
             feedback: self.feedback,
             steepest: self.steepest,
             measure: self.measure,
-            first_loss: self.first_loss,
+            first_loss,
         }
     }
 }
@@ -251,6 +274,7 @@ impl Trainer {
     /// A loss or gradient that is not finite; the weights are then as they were.
     pub fn update(&mut self, pool: &dyn Pool, on: &Compute) -> Result<Report, String> {
         let solver = self.recipe.training_solver()?;
+        let how = self.recipe.conditions(self.step);
         let drawn: Vec<Drawn> = (0..self.recipe.batch).map(|b| self.draw(pool, b)).collect();
         let groups: Vec<&[Drawn]> = drawn.chunks(self.recipe.micro_batch).collect();
         let passes = in_parallel(groups.len(), on.threads, |g| {
@@ -258,7 +282,7 @@ impl Trainer {
                 .iter()
                 .map(|d| Episode { scene: &*d.scene, lookup: d.lookup.clone(), reach: d.reach })
                 .collect();
-            differentiate(&self.weights, &episodes, self.recipe.conditions(), &*solver, &on.device)
+            differentiate(&self.weights, &episodes, how, &*solver, &on.device)
         });
         let mut gradients: Vec<Vec<f32>> =
             self.weights.params.iter().map(|p| vec![0.0; p.values.len()]).collect();
@@ -403,6 +427,24 @@ mod tests {
     }
 
     #[test]
+    fn a_policy_that_is_told_learns_every_number_of_pictures() {
+        let base = recipe();
+        let told = Recipe {
+            config: Config { base: true, horizon: 10, ..base.config.clone() },
+            lights: 10,
+            ..base.clone()
+        };
+        told.check().unwrap();
+        let lengths: Vec<usize> = (0..400).map(|step| told.conditions(step).lights).collect();
+        assert!((3..=10).all(|t| lengths.contains(&t)));
+        let long = lengths.iter().filter(|&&t| t == 10).count();
+        assert!((150..250).contains(&long), "{long}");
+        assert!((0..9).all(|step| told.conditions(step).first_loss == told.conditions(step).lights));
+        assert_eq!(base.conditions(3).lights, base.lights);
+        assert!(Recipe { lights: 9, ..told }.check().unwrap_err().contains("equal"));
+    }
+
+    #[test]
     fn a_resumed_run_is_the_same_to_the_bit_on_any_number_of_threads() {
         let mut whole = Trainer::new(recipe()).unwrap();
         for _ in 0..6 {
@@ -429,7 +471,7 @@ mod tests {
         let mut weights = Weights::new(&r.config, 3);
         let scene = Bump::new(16, 2.0);
         let episode = || [Episode { scene: &scene, lookup: Lookup::Exact, reach: 1.2 }];
-        let how = r.conditions();
+        let how = r.conditions(0);
         let (solver, on) = (LeastSquares::default(), Compute::cpu(1));
         let pass = differentiate(&weights, &episode(), how, &solver, &on.device);
         let index: Vec<usize> =

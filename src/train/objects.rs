@@ -10,7 +10,7 @@ use crate::render::{
 };
 use crate::rng::Rng;
 use crate::stack::Mask;
-use glam::Vec3;
+use glam::{Mat3, Vec3};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
@@ -58,23 +58,41 @@ struct Bare {
     exchange: Exchange,
 }
 
-/// The training objects of `worlds`, made when first drawn and kept; each draw gets a finish of its own.
+/// The policy's training objects, made when first drawn and kept; each draw gets a finish of its own.
 pub struct Training {
     size: u32,
     softness: f32,
+    meshes: Vec<(String, Mesh)>,
     made: Mutex<HashMap<usize, Arc<Bare>>>,
 }
 
+/// One in so many training objects is a mesh, if there are any.
+const MESH_EVERY: usize = 4;
 /// Azimuths of the training objects' horizon maps: what soft shadows need, in half the memory of the test's.
 const AZIMUTHS: usize = 32;
 /// Azimuths and levels of their form factors, as coarse.
 const EXCHANGE: (usize, usize) = (12, 1);
 
 impl Training {
-    /// Objects in pictures of `size × size` pixels with shadow boundaries of this softness.
-    #[must_use]
-    pub fn new(size: u32, softness: f32) -> Self {
-        Self { size, softness, made: Mutex::new(HashMap::new()) }
+    /// Objects in pictures of `size × size` pixels with shadow boundaries of this softness: sculptures, and where there are
+    /// meshes every [`MESH_EVERY`]th one of these, in another pose each time.
+    ///
+    /// # Errors
+    /// A mesh that can't be rendered.
+    pub fn new(size: u32, softness: f32, meshes: Vec<(String, Mesh)>) -> Result<Self, RenderError> {
+        for (_, mesh) in &meshes {
+            Pose::fit(&Shape::Mesh(mesh.clone()), Mat3::IDENTITY)?;
+        }
+        Ok(Self { size, softness, meshes, made: Mutex::new(HashMap::new()) })
+    }
+
+    fn object(&self, index: usize) -> Object {
+        if self.meshes.is_empty() || !index.is_multiple_of(MESH_EVERY) {
+            return worlds::training(SEED, index);
+        }
+        let (name, mesh) = &self.meshes[index / MESH_EVERY % self.meshes.len()];
+        let rng = &mut Rng::stream(SEED, index as u64);
+        Object::dressed(name, Shape::Mesh(mesh.clone()), worlds::Split::Train, rng)
     }
 
     fn bare(&self, index: usize) -> Arc<Bare> {
@@ -82,7 +100,7 @@ impl Training {
         if let Some(bare) = made(&self.made.lock().expect("no thread panicked")) {
             return bare;
         }
-        let object = worlds::training(SEED, index);
+        let object = self.object(index);
         let pose = Pose::fit(&object.shape, object.rotation).expect("a sculpture can be seen");
         let view = View::new(&object.shape, &pose, self.size).expect("a sculpture can be seen");
         let horizon = Horizon::new(&view, AZIMUTHS);
@@ -157,10 +175,22 @@ mod tests {
     }
 
     #[test]
+    fn some_training_objects_are_meshes_where_there_are_any() {
+        let tent = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nv 0 0 1\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\n";
+        let mesh = Mesh::from_bytes("tent.obj", tent.as_bytes()).unwrap();
+        let (plain, mixed) =
+            [Vec::new(), vec![("tent".to_owned(), mesh)]].map(|m| Training::new(20, 0.05, m).unwrap()).into();
+        let names = |pool: &Training| (0..8).map(|i| pool.object(i).name).collect::<Vec<_>>();
+        let (plain, mixed) = (names(&plain), names(&mixed));
+        assert_eq!(mixed.iter().filter(|n| *n == "tent").count(), 8 / MESH_EVERY);
+        assert_eq!(plain[1..MESH_EVERY], mixed[1..MESH_EVERY]);
+    }
+
+    #[test]
     fn the_pool_repeats_itself() {
-        let pool = Training::new(20, 0.05);
+        let pool = Training::new(20, 0.05, Vec::new()).unwrap();
         let draw = |pool: &Training| pool.draw(3, &mut Rng::new(8)).image(Vec3::new(0.6, 0.0, 0.8));
         assert_eq!(draw(&pool), draw(&pool));
-        assert_eq!(draw(&pool), draw(&Training::new(20, 0.05)));
+        assert_eq!(draw(&pool), draw(&Training::new(20, 0.05, Vec::new()).unwrap()));
     }
 }

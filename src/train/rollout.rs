@@ -64,7 +64,7 @@ pub fn differentiate(
     let device = device.clone().autodiff();
     let net = Network::new(weights, &device);
     let mut run = Run::new(&weights.config, episodes, how);
-    let mut sequence = net.start();
+    let mut sequence = net.start(how.lights);
     let mut asked: Vec<Tensor<2>> = Vec::new();
     let mut direction = run.first(&device);
     for i in 0..how.lights {
@@ -115,7 +115,7 @@ pub fn differentiate(
 #[must_use]
 pub fn capture(net: &Network, episodes: &[Episode], how: Conditions, device: &Device) -> Vec<Captures> {
     let mut run = Run::new(net.config(), episodes, how);
-    let mut sequence = net.start();
+    let mut sequence = net.start(how.lights);
     let mut direction = run.first(device);
     for i in 0..how.lights {
         let newest = run.capture(&values(direction.clone()), false);

@@ -77,22 +77,23 @@ impl Network {
             .collect()
     }
 
-    /// A new batch of sequences, nothing seen yet.
+    /// A new batch of sequences of `lights` pictures, nothing seen yet.
     #[must_use]
-    pub fn start(&self) -> Sequence<'_> {
-        self.sequence(None)
+    pub fn start(&self, lights: usize) -> Sequence<'_> {
+        self.sequence(None, lights)
     }
 
     /// All frames of `batch` sequences of `count` frames at once, attention masked so that none sees a later one: the same
     /// directions as frame by frame. Rows of every input are `sequence × count + frame`; shapes as for [`Sequence::step`].
     #[must_use]
     pub fn whole(&self, count: usize, frames: Tensor<4>, lights: Tensor<2>, reach: Tensor<2>) -> Tensor<2> {
-        self.sequence(Some(count)).step(frames, lights, reach)
+        self.sequence(Some(count), count).step(frames, lights, reach)
     }
 
-    fn sequence(&self, whole: Option<usize>) -> Sequence<'_> {
+    fn sequence(&self, whole: Option<usize>, lights: usize) -> Sequence<'_> {
         let caches = vec![(Vec::new(), Vec::new()); self.config.layers];
-        Sequence { net: self, whole, position: 0, light: None, reach: None, caches, gate: None }
+        let told = self.config.told(lights);
+        Sequence { net: self, whole, told, position: 0, light: None, reach: None, caches, gate: None }
     }
 }
 
@@ -117,6 +118,8 @@ pub struct Sequence<'a> {
     net: &'a Network,
     /// Number of frames where all are given at once.
     whole: Option<usize>,
+    /// Number of pictures that the policy is told.
+    told: usize,
     position: usize,
     light: Option<Tensor<2>>,
     reach: Option<Tensor<2>>,
@@ -129,7 +132,11 @@ impl Sequence<'_> {
     /// and the reach `[batch, 1]` as a fraction of 90°; gives the next directions `[batch, 3]`.
     pub fn step(&mut self, frames: Tensor<4>, lights: Tensor<2>, reach: Tensor<2>) -> Tensor<2> {
         let config = self.net.config.clone();
-        self.light = Some(Tensor::cat(vec![lights, reach.clone()], 1));
+        let mut known = vec![lights, reach.clone()];
+        if config.horizon > 0 {
+            known.push(reach.zeros_like() + self.told as f32 / config.horizon as f32);
+        }
+        self.light = Some(Tensor::cat(known, 1));
         self.reach = Some(reach);
         let (mut features, gate) = network::encode_frame(self, &config, frames);
         self.gate = gate;
@@ -292,7 +299,12 @@ impl Ops for Sequence<'_> {
     }
 
     fn add_base(&mut self, x: Tensor<2>) -> Tensor<2> {
-        let base = self.net.matrices["head.base"].clone();
+        let mut base = self.net.matrices["head.base"].clone();
+        let config = &self.net.config;
+        if config.horizon > 0 {
+            let [first, frames] = [self.told * config.max_frames, config.max_frames];
+            base = base + self.net.matrices["head.horizon"].clone().narrow(0, first, frames);
+        }
         let Some(frames) = self.whole else {
             return x + base.narrow(0, self.position, 1);
         };
@@ -361,6 +373,7 @@ mod tests {
             max_frames: 12,
             gating: true,
             base: true,
+            horizon: 0,
             transformer: true,
         }
     }
@@ -381,7 +394,7 @@ mod tests {
 
     fn one(net: &Network, input: &Input, count: usize) -> Vec<Vec<f32>> {
         let (s, device) = (net.config.input, &Device::flex());
-        let mut run = net.start();
+        let mut run = net.start(count);
         (0..count)
             .map(|i| {
                 let frame = input.frames[i * 3 * s * s..(i + 1) * 3 * s * s].to_vec();
@@ -406,8 +419,49 @@ mod tests {
         ))
     }
 
-    fn ablations(config: Config) -> [Config; 3] {
-        [Config { gating: false, ..config.clone() }, Config { transformer: false, ..config.clone() }, config]
+    fn ablations(config: Config) -> [Config; 4] {
+        [
+            Config { gating: false, ..config.clone() },
+            Config { transformer: false, ..config.clone() },
+            Config { horizon: 10, ..config.clone() },
+            config,
+        ]
+    }
+
+    #[test]
+    fn a_network_that_is_told_the_number_of_pictures_begins_as_it_was_and_can_use_it() {
+        let config = Config::compact();
+        let weights = Weights::new(&config, 1);
+        let input = random(&config, 4, 2);
+        let device = Device::flex();
+        let before = one(&Network::new(&weights, &device), &input, 4);
+        let mut told = weights.told(10);
+        let after = one(&Network::new(&told, &device), &input, 4);
+        for (a, b) in before.iter().flatten().zip(after.iter().flatten()) {
+            assert!((a - b).abs() < 1e-6);
+        }
+        let row = 7 * config.max_frames + 1;
+        let table = told.index()["head.horizon"];
+        told.params[table].values[3 * row] = 0.5;
+        let net = Network::new(&told, &device);
+        let s = config.input;
+        let second = |lights: usize| {
+            let mut run = net.start(lights);
+            (0..2)
+                .map(|i| {
+                    let frame = input.frames[i * 3 * s * s..(i + 1) * 3 * s * s].to_vec();
+                    let light = input.lights[3 * i..3 * i + 3].to_vec();
+                    values(run.step(
+                        tensor(frame, [1, 3, s, s], &device),
+                        tensor(light, [1, 3], &device),
+                        tensor(vec![0.7], [1, 1], &device),
+                    ))
+                })
+                .collect::<Vec<_>>()
+        };
+        let (seven, eight) = (second(7), second(8));
+        assert_eq!(seven[0], eight[0]);
+        assert!((seven[1][0] - eight[1][0]).abs() > 0.05);
     }
 
     #[test]
@@ -465,7 +519,7 @@ mod tests {
             let loss = |weights: &Weights, device: &Device| {
                 let net = Network::new(weights, device);
                 let s = config.input;
-                let mut run = net.start();
+                let mut run = net.start(3);
                 let mut sum: Option<Tensor<1>> = None;
                 for i in 0..3 {
                     let frame = input.frames[i * 3 * s * s..(i + 1) * 3 * s * s].to_vec();

@@ -48,11 +48,22 @@ pub struct Validation {
     pub slants: Vec<f32>,
 }
 
-/// How a policy does on `scenes` (whole hemisphere, pictures at exactly the direction asked for).
+/// How a policy does on `scenes` (whole hemisphere, pictures at exactly the direction asked for). One that is told how many
+/// pictures there will be makes a run of its own for each number.
 #[must_use]
 pub fn policy(weights: &Weights, scenes: &[Box<dyn Scene>], blank: bool, on: &Compute) -> Validation {
+    let mut found = run(weights, scenes, STAGES[2], blank, on);
+    if weights.config.horizon > 0 {
+        for (s, &lights) in STAGES[..2].iter().enumerate() {
+            found.degrees.0[s] = run(weights, scenes, lights, blank, on).degrees.0[s];
+        }
+    }
+    found
+}
+
+fn run(weights: &Weights, scenes: &[Box<dyn Scene>], lights: usize, blank: bool, on: &Compute) -> Validation {
     let how = Conditions {
-        lights: STAGES[2],
+        lights,
         feedback: 0.0,
         steepest: 0.0,
         measure: Measure::Angle,

@@ -71,8 +71,8 @@ impl Weights {
         b.conv("view.1", c3 / 2, c3 / 4, RELU_GAIN);
         b.conv("view.2", c3 / 4, 1, LAST_GAIN);
         let e = config.embedding();
-        // Direction and reach; the paper's embedding has the direction alone.
-        b.linear("light.0", 4, config.light_hidden, RELU_GAIN);
+        // Direction and reach, perhaps the number of pictures; the paper's embedding has the direction alone.
+        b.linear("light.0", 4 + usize::from(config.horizon > 0), config.light_hidden, RELU_GAIN);
         b.linear("light.1", config.light_hidden, e, RELU_GAIN);
         b.conv("fuser.down0", 2 * e, 2 * e, RELU_GAIN);
         b.conv("fuser.down1", 2 * e, 4 * e, RELU_GAIN);
@@ -92,7 +92,27 @@ impl Weights {
             let bias = b.params.last_mut().expect("head.1 has a bias");
             bias.values = vec![0.5, 0.5, 1.0];
         }
+        if config.horizon > 0 {
+            // A row for each number of pictures and each step.
+            let rows = (config.horizon + 1) * config.max_frames;
+            b.push("head.horizon", vec![rows, 3], vec![0.0; 3 * rows]);
+        }
         Self { config: config.clone(), params: b.params }
+    }
+
+    /// The same network, to be told how many pictures there will be: it does at first what it did before.
+    #[must_use]
+    pub fn told(self, horizon: usize) -> Self {
+        let config = Config { horizon, ..self.config.clone() };
+        let mut told = Self::new(&config, 0);
+        for p in &mut told.params {
+            p.values.fill(0.0);
+            // A new input of a layer is a row at the end of its matrix.
+            if let Some(old) = self.params.iter().find(|old| old.name == p.name) {
+                p.values[..old.values.len()].copy_from_slice(&old.values);
+            }
+        }
+        told
     }
 
     /// Number of trained values.

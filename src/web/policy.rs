@@ -27,6 +27,8 @@ export interface PolicyInfo {
   input: number;
   gating: boolean;
   transformer: boolean;
+  /** Largest number of pictures that it was trained to plan for and is told; 0: it isn't told how many there will be. */
+  horizon: number;
   /** Most pictures a sequence may have. */
   maxFrames: number;
 }
@@ -60,16 +62,24 @@ impl PolicyRunner {
             "input": c.input,
             "gating": c.gating,
             "transformer": c.transformer,
+            "horizon": c.horizon,
             "maxFrames": c.max_frames,
         }))
     }
 
     /// Begins an object: its mask (a byte for each pixel of a `width × height` image, not 0 on the object) and the largest
-    /// slant of a light, degrees.
-    pub fn start(&mut self, mask: &[u8], width: u32, height: u32, reach: f32) -> Result<(), JsError> {
+    /// slant of a light, degrees; and how many pictures there will be.
+    pub fn start(
+        &mut self,
+        mask: &[u8],
+        width: u32,
+        height: u32,
+        reach: f32,
+        lights: usize,
+    ) -> Result<(), JsError> {
         let inside: Vec<bool> = mask.iter().map(|&m| m != 0).collect();
         let mask = Mask::new(width, height, &inside).map_err(fail)?;
-        self.run = Some(self.policy.start(&mask, reach.to_radians()));
+        self.run = Some(self.policy.start(&mask, reach.to_radians(), lights));
         Ok(())
     }
 
@@ -134,11 +144,11 @@ impl Models {
         Ok(())
     }
 
-    /// What the planner `name` makes of pictures; undefined where it is not loaded.
+    /// What the planner `name` makes of the first pictures of a run of `lights`; undefined where it is not loaded.
     #[must_use]
-    pub fn insight(&self, name: &str, pictures: &Observations) -> Option<Insight> {
+    pub fn insight(&self, name: &str, pictures: &Observations, lights: usize) -> Option<Insight> {
         let stack = &pictures.of.stack;
-        let run = self.0.0.get(name)?.start(&stack.mask, light::reach(&stack.lights));
+        let run = self.0.0.get(name)?.start(&stack.mask, light::reach(&stack.lights), lights);
         Some(Insight(run))
     }
 }

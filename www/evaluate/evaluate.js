@@ -140,7 +140,7 @@ function makeActions(page, store) {
   const look = newestOnly(async () => {
     if (store.state.running) return store.update({ insight: null }); // the run needs the worker
     try {
-      store.update({ insight: await engine.call("insight", { planner: store.state.shown.planner }) });
+      store.update({ insight: await engine.call("insight", { planner: store.state.shown.planner, lights: store.state.ran?.lights[0] ?? 0 }) });
     } catch (error) {
       page.problem("The planner can't be watched", error);
     }

@@ -34,7 +34,7 @@ pub struct EvalArgs {
     /// From a direction to a picture: nearest or soft:TAU (radians), separated by commas.
     #[arg(long, value_delimiter = ',', default_value = "nearest")]
     lookup: Vec<String>,
-    /// Repetitions; deterministic planners start turned or jittered in all but the first.
+    /// Repetitions; deterministic planners start turned, or begin a little off, in all but the first.
     #[arg(long, default_value_t = 30)]
     draws: usize,
     /// End a run before all lights once the first solver predicts a mean error of at most this: 8deg.

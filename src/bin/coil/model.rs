@@ -56,7 +56,8 @@ fn info(folder: &Path) -> anyhow::Result<()> {
     let transformer = format!("{} layers of width {}, {} heads", c.layers, c.width, c.heads);
     println!("temporal  {}", if c.transformer { &transformer } else { "none (ablation)" });
     println!("gate      {}", if c.gating { "outlier-aware" } else { "none (ablation)" });
-    println!("pictures  {} at most", c.max_frames);
+    let told = if c.horizon > 0 { format!("; told how many, up to {}", c.horizon) } else { String::new() };
+    println!("pictures  {} at most{told}", c.max_frames);
     println!("encoder   {} constants, {} bytes", encoder.values, files.encoder.len());
     println!("step      {} constants, {} bytes", step.values, files.step.len());
     println!("trained   {}", encoder.note);
@@ -77,7 +78,7 @@ fn trace(folder: &Path, sequences: u64) -> anyhow::Result<()> {
     for s in 0..sequences {
         let mut rng = Rng::stream(4, s);
         let reach = rng.range(0.3, 1.0);
-        let mut run = policy.start(&mask, reach * std::f32::consts::FRAC_PI_2);
+        let mut run = policy.start(&mask, reach * std::f32::consts::FRAC_PI_2, PICTURES);
         let mut light = glam::Vec3::Z;
         let mut scale = None;
         let mut pictures = Vec::new();

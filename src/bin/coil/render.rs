@@ -119,7 +119,9 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let options = Options { size: args.size, bounces: args.bounces, ..Options::default() };
     let mut jobs = Vec::new();
     for name in &args.objects {
-        jobs.extend(objects(name, &args)?.into_iter().map(|(object, pose)| (object, pose, is_set(name))));
+        jobs.extend(
+            objects(name, &args)?.into_iter().map(|(object, pose)| (object, pose, worlds::is_set(name))),
+        );
     }
     // Two objects of one name would overwrite each other.
     for i in 0..jobs.len() {
@@ -241,7 +243,7 @@ fn sheet(args: &Args, file: &Path) -> anyhow::Result<ExitCode> {
 /// The objects of a name, with the pose where it does not follow from the object's rotation.
 fn objects(name: &str, args: &Args) -> anyhow::Result<Vec<(Object, Option<Pose>)>> {
     let mesh = [".obj", ".ply", ".stl"].iter().any(|end| name.to_ascii_lowercase().ends_with(end));
-    if is_set(name) {
+    if worlds::is_set(name) {
         if args.material.is_some() || args.pose != "front" {
             bail!("{name}: its materials and poses are part of it; leave --material and --pose out");
         }
@@ -276,9 +278,4 @@ fn objects(name: &str, args: &Args) -> anyhow::Result<Vec<(Object, Option<Pose>)
         }
     }
     Ok(vec![(object, pose)])
-}
-
-/// Whether a name stands for objects that have their own materials and poses.
-fn is_set(name: &str) -> bool {
-    [worlds::NAME, "worlds-train", "worlds-validate"].contains(&name.split(':').next().unwrap_or_default())
 }

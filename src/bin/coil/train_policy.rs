@@ -5,6 +5,7 @@ use clap::ValueEnum;
 use coil_ps::light::{fibonacci_hemisphere, ring};
 use coil_ps::policy::Config;
 use coil_ps::render::Mesh;
+use coil_ps::train::adamw::AdamW;
 use coil_ps::train::compute::{Compute, Processor};
 use coil_ps::train::fit::{Recipe, Report, Trainer};
 use coil_ps::train::formation::Scene;
@@ -47,6 +48,9 @@ pub struct Args {
     /// Recipe to start from.
     #[arg(long, value_enum, default_value = "compact")]
     preset: Preset,
+    /// Recipe of an earlier run (its recipe.json, perhaps changed) to start from instead of a preset.
+    #[arg(long, value_name = "FILE", conflicts_with = "preset")]
+    recipe: Option<PathBuf>,
     /// Size of the network: compact or paper.
     #[arg(long)]
     size: Option<String>,
@@ -56,6 +60,9 @@ pub struct Args {
     /// Show the policy black frames: it then learns one fixed light set.
     #[arg(long)]
     blank: bool,
+    /// Folder of meshes (.obj, .ply, .stl) for a quarter of the training objects; the rest are sculptures.
+    #[arg(long, value_name = "DIR")]
+    meshes: Option<PathBuf>,
     /// Objects in the training pool.
     #[arg(long)]
     objects: Option<usize>,
@@ -71,6 +78,9 @@ pub struct Args {
     /// Picture after which the loss is measured first: 3 or later (4 in the paper).
     #[arg(long)]
     first_loss: Option<usize>,
+    /// Tell the policy how many pictures there will be, 3 to T, and count the error after the last one alone.
+    #[arg(long)]
+    horizon: bool,
     /// Solver to train through.
     #[arg(long)]
     solver: Option<String>,
@@ -173,7 +183,12 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
         Device::Wgpu => Processor::Wgpu,
     };
     let compute = Compute::new(processor, threads)?;
-    let pool = objects::Training::new(trainer.recipe.resolution, trainer.recipe.softness);
+    let meshes = trainer.recipe.meshes.as_deref().map(|dir| read_meshes(Path::new(dir))).transpose()?;
+    let pool = objects::Training::new(
+        trainer.recipe.resolution,
+        trainer.recipe.softness,
+        meshes.unwrap_or_default(),
+    )?;
     let meshes = args.validation_meshes.as_deref().map(read_meshes).transpose()?.unwrap_or_default();
     let scenes = objects::validation(&meshes, args.validation_objects, trainer.recipe.resolution)?;
     eprintln!(
@@ -273,16 +288,20 @@ fn choose(
 }
 
 fn recipe(args: &Args) -> anyhow::Result<Recipe> {
-    let mut r = match args.preset {
-        Preset::Compact => Recipe::compact(),
-        Preset::Paper => Recipe::paper(),
+    let mut r = match (&args.recipe, args.preset) {
+        (Some(file), _) => read_recipe(file)?,
+        (None, Preset::Compact) => Recipe::compact(),
+        (None, Preset::Paper) => Recipe::paper(),
     };
     if let Some(size) = &args.size {
         r.config = Config::by_name(size)?;
     }
     r.config.gating &= args.without != Some(Without::Gate);
     r.config.transformer &= args.without != Some(Without::Transformer);
-    r.blank = args.blank;
+    r.blank |= args.blank;
+    if let Some(dir) = &args.meshes {
+        r.meshes = Some(dir.display().to_string());
+    }
     set(&mut r.objects, args.objects);
     set(&mut r.resolution, args.resolution);
     set(&mut r.steps, args.steps);
@@ -294,6 +313,9 @@ fn recipe(args: &Args) -> anyhow::Result<Recipe> {
     set(&mut r.feedback, args.feedback);
     set(&mut r.measure, args.measure);
     set(&mut r.first_loss, args.first_loss);
+    if args.horizon {
+        r.config.horizon = r.lights;
+    }
     set(&mut r.solver, args.solver.clone());
     match args.lookup.as_deref() {
         None => {}
@@ -307,6 +329,13 @@ fn recipe(args: &Args) -> anyhow::Result<Recipe> {
         }
     }
     Ok(r)
+}
+
+fn read_recipe(file: &Path) -> anyhow::Result<Recipe> {
+    let text = fs::read_to_string(file).with_context(|| file.display().to_string())?;
+    let recipe: Recipe = serde_json::from_str(&text).with_context(|| file.display().to_string())?;
+    // A new run begins with fresh weights unless --from says otherwise.
+    Ok(Recipe { from: None, ..recipe })
 }
 
 fn set<T>(field: &mut T, value: Option<T>) {
@@ -345,9 +374,13 @@ fn read_meshes(dir: &Path) -> anyhow::Result<Vec<(String, Mesh)>> {
 /// A new run of the network, and with the best weights, of the run in `from`.
 fn begin_from(from: &Path, recipe: Recipe) -> anyhow::Result<Trainer> {
     let other = resume(from)?;
-    let recipe = Recipe { config: other.recipe.config, from: Some(from.display().to_string()), ..recipe };
+    let horizon = recipe.config.horizon.max(other.recipe.config.horizon);
+    let config = Config { horizon, ..other.recipe.config };
+    let recipe = Recipe { config, from: Some(from.display().to_string()), ..recipe };
     let mut trainer = Trainer::new(recipe).map_err(anyhow::Error::msg)?;
-    trainer.weights = other.best.map_or(other.weights, |best| best.0);
+    let weights = other.best.map_or(other.weights, |best| best.0);
+    trainer.weights = if weights.config.horizon == horizon { weights } else { weights.told(horizon) };
+    trainer.adam = AdamW::new(&trainer.weights);
     Ok(trainer)
 }
 
