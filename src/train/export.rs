@@ -502,7 +502,7 @@ mod tests {
 
     #[test]
     fn unusable_files_are_named() {
-        let [other, _, weights] = networks();
+        let [other, .., weights] = networks();
         let files = export(&weights, "");
         let load = |encoder: &[u8], step: &[u8]| {
             Policy::load(&ModelFiles { encoder: encoder.to_vec(), step: step.to_vec() }).unwrap_err()
