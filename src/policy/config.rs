@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// Version of the model files this build reads and writes.
-pub const FORMAT: u32 = 1;
+pub const FORMAT: u32 = 2;
 
 /// Fewest pictures that normals can be solved from.
 const FEWEST: usize = 3;
