@@ -522,7 +522,8 @@ mod tests {
         let at = flipped.windows(name.len()).rposition(|w| w == name).unwrap();
         flipped[at + 200] ^= 1;
         assert!(matches!(load(&flipped, &files.step), ModelError::Fingerprint { .. }));
-        let newer = swap(&files.encoder, b"\x0bcoil.format\x12\x011", b"\x0bcoil.format\x12\x019");
+        let entry = |version: u32| format!("\x0bcoil.format\x12\x01{version}").into_bytes();
+        let newer = swap(&files.encoder, &entry(FORMAT), &entry(9));
         assert!(matches!(load(&newer, &files.step), ModelError::Version { part: "encoder", .. }));
     }
 

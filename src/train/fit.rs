@@ -262,6 +262,18 @@ impl Trainer {
         Ok(Self { adam: AdamW::new(&weights), recipe, weights, step: 0, best: None })
     }
 
+    /// A fresh run of another run's network, and with its weights: of the recipe's network only the horizon counts.
+    ///
+    /// # Errors
+    /// [`Recipe::check`].
+    pub fn begin_with(weights: Weights, recipe: Recipe) -> Result<Self, String> {
+        let horizon = recipe.config.horizon.max(weights.config.horizon);
+        let weights = if weights.config.horizon == horizon { weights } else { weights.told(horizon) };
+        let recipe = Recipe { config: weights.config.clone(), ..recipe };
+        recipe.check()?;
+        Ok(Self { adam: AdamW::new(&weights), recipe, weights, step: 0, best: None })
+    }
+
     /// Whether all updates have been made.
     #[must_use]
     pub fn done(&self) -> bool {

@@ -5,7 +5,6 @@ use clap::ValueEnum;
 use coil_ps::light::{fibonacci_hemisphere, ring};
 use coil_ps::policy::Config;
 use coil_ps::render::Mesh;
-use coil_ps::train::adamw::AdamW;
 use coil_ps::train::compute::{Compute, Processor};
 use coil_ps::train::fit::{Recipe, Report, Trainer};
 use coil_ps::train::formation::Scene;
@@ -374,14 +373,9 @@ fn read_meshes(dir: &Path) -> anyhow::Result<Vec<(String, Mesh)>> {
 /// A new run of the network, and with the best weights, of the run in `from`.
 fn begin_from(from: &Path, recipe: Recipe) -> anyhow::Result<Trainer> {
     let other = resume(from)?;
-    let horizon = recipe.config.horizon.max(other.recipe.config.horizon);
-    let config = Config { horizon, ..other.recipe.config };
-    let recipe = Recipe { config, from: Some(from.display().to_string()), ..recipe };
-    let mut trainer = Trainer::new(recipe).map_err(anyhow::Error::msg)?;
     let weights = other.best.map_or(other.weights, |best| best.0);
-    trainer.weights = if weights.config.horizon == horizon { weights } else { weights.told(horizon) };
-    trainer.adam = AdamW::new(&trainer.weights);
-    Ok(trainer)
+    let recipe = Recipe { from: Some(from.display().to_string()), ..recipe };
+    Trainer::begin_with(weights, recipe).map_err(anyhow::Error::msg)
 }
 
 fn baselines(scenes: &[Box<dyn Scene>], threads: usize) -> Vec<(String, validate::Errors)> {
