@@ -19,7 +19,7 @@ pub struct Recipe {
     pub config: Config,
     /// Seed of the weights and of every draw.
     pub seed: u64,
-    /// The run whose best weights this one began with, if it did not begin with fresh ones.
+    /// Name of the run whose best weights this one began with, if it did not begin with fresh ones.
     #[serde(default)]
     pub from: Option<String>,
     /// Folder of meshes that some of the training objects are; without it all are sculptures.
@@ -68,7 +68,7 @@ pub struct Recipe {
     /// What the loss measures.
     pub measure: Measure,
     /// The picture after which the loss is measured first; 4 in the paper. Three lights are then placed for what comes after
-    /// alone, and normals from three pictures are bad.
+    /// alone, and normals from three pictures are bad. A policy that is told how many there will be has it at the last.
     #[serde(default = "fourth")]
     pub first_loss: usize,
     /// Name of the solver.

@@ -78,7 +78,7 @@ pub struct Args {
     #[arg(long)]
     first_loss: Option<usize>,
     /// Tell the policy how many pictures there will be, 3 to T, and count the error after the last one alone.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "first_loss")]
     horizon: bool,
     /// Solver to train through.
     #[arg(long)]
@@ -374,7 +374,9 @@ fn read_meshes(dir: &Path) -> anyhow::Result<Vec<(String, Mesh)>> {
 fn begin_from(from: &Path, recipe: Recipe) -> anyhow::Result<Trainer> {
     let other = resume(from)?;
     let weights = other.best.map_or(other.weights, |best| best.0);
-    let recipe = Recipe { from: Some(from.display().to_string()), ..recipe };
+    // The folder's name, not where it lies: a recipe is passed on.
+    let name = fs::canonicalize(from)?.file_name().map(|name| name.to_string_lossy().into_owned());
+    let recipe = Recipe { from: name, ..recipe };
     Trainer::begin_with(weights, recipe).map_err(anyhow::Error::msg)
 }
 
