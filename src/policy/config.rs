@@ -100,6 +100,19 @@ impl Config {
         }
     }
 
+    /// The same network on frames of another side: more or fewer of its max-pools, so that the feature map and with it every
+    /// weight keeps its shape.
+    ///
+    /// # Errors
+    /// A line that says which sides are possible.
+    pub fn seeing(&self, input: usize) -> Result<Self, String> {
+        let sides: Vec<usize> = (0..=4).map(|pools| self.grid() << pools).collect();
+        match sides.iter().position(|&side| side == input) {
+            Some(pools) => Ok(Self { input, pools, ..self.clone() }),
+            None => Err(format!("frames of {input}×{input}: this network takes a side of {sides:?}")),
+        }
+    }
+
     /// Side of the feature map, in cells.
     #[must_use]
     pub fn grid(&self) -> usize {
@@ -215,6 +228,14 @@ mod tests {
         assert!(Config { heads: 7, ..Config::compact() }.check().is_err());
         assert!(Config { horizon: 33, ..Config::compact() }.check().is_err());
         assert!(Config { horizon: 10, base: false, ..Config::compact() }.check().is_err());
+    }
+
+    #[test]
+    fn larger_frames_leave_the_feature_map_as_it_is() {
+        let fine = Config::compact().seeing(64).unwrap();
+        fine.check().unwrap();
+        assert_eq!((fine.input, fine.pools, fine.grid()), (64, 4, Config::compact().grid()));
+        assert!(Config::compact().seeing(48).unwrap_err().contains("[4, 8, 16, 32, 64]"));
     }
 
     #[test]

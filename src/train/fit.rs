@@ -262,13 +262,17 @@ impl Trainer {
         Ok(Self { adam: AdamW::new(&weights), recipe, weights, step: 0, best: None })
     }
 
-    /// A fresh run of another run's network, and with its weights: of the recipe's network only the horizon counts.
+    /// A fresh run of another run's network, and with its weights: of the recipe's network only the horizon counts, and the side of
+    /// the frames where it is larger.
     ///
     /// # Errors
     /// [`Recipe::check`].
     pub fn begin_with(weights: Weights, recipe: Recipe) -> Result<Self, String> {
         let horizon = recipe.config.horizon.max(weights.config.horizon);
-        let weights = if weights.config.horizon == horizon { weights } else { weights.told(horizon) };
+        let mut weights = if weights.config.horizon == horizon { weights } else { weights.told(horizon) };
+        if recipe.config.grid() == weights.config.grid() {
+            weights.config = weights.config.seeing(recipe.config.input.max(weights.config.input))?;
+        }
         let recipe = Recipe { config: weights.config.clone(), ..recipe };
         recipe.check()?;
         Ok(Self { adam: AdamW::new(&weights), recipe, weights, step: 0, best: None })
@@ -424,6 +428,17 @@ mod tests {
             measure: Measure::Cosine,
             ..Recipe::compact()
         }
+    }
+
+    #[test]
+    fn a_run_that_begins_with_another_may_see_larger_frames() {
+        let old = Weights::new(&recipe().config, 3);
+        let larger = Recipe { config: recipe().config.seeing(32).unwrap(), ..recipe() };
+        let begun = Trainer::begin_with(old.clone(), larger).unwrap();
+        assert_eq!((begun.weights.config.input, begun.recipe.config.pools), (32, 3));
+        assert_eq!(begun.weights.params, old.params);
+        let other = Recipe { config: Config::paper(), ..recipe() };
+        assert_eq!(Trainer::begin_with(old.clone(), other).unwrap().weights, old);
     }
 
     #[test]

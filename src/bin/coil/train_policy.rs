@@ -62,6 +62,9 @@ pub struct Args {
     /// Folder of meshes (.obj, .ply, .stl) for a quarter of the training objects; the rest are sculptures.
     #[arg(long, value_name = "DIR")]
     meshes: Option<PathBuf>,
+    /// Side of the network's frames, pixels: a power of two times its feature map.
+    #[arg(long)]
+    input: Option<usize>,
     /// Objects in the training pool.
     #[arg(long)]
     objects: Option<usize>,
@@ -294,6 +297,9 @@ fn recipe(args: &Args) -> anyhow::Result<Recipe> {
     };
     if let Some(size) = &args.size {
         r.config = Config::by_name(size)?;
+    }
+    if let Some(input) = args.input {
+        r.config = r.config.seeing(input).map_err(anyhow::Error::msg)?;
     }
     r.config.gating &= args.without != Some(Without::Gate);
     r.config.transformer &= args.without != Some(Without::Transformer);
