@@ -96,17 +96,28 @@ async function status(signal) {
 }
 
 /**
- * The learned planners that can be offered: their module is there or on its way, and so is their network.
- * @returns {Promise<string[]>}
+ * The learned planners that can be offered: their module is there or on its way, and so is their network. Where ours is not,
+ * `withheld` is a sentence that says why.
+ * @returns {Promise<{ names: string[], withheld: string }>}
  */
 export async function learnedPlanners() {
-  const policy = await status().catch(() => null);
-  if (policy === null || policy.state === "failed") return [];
-  const reply = await fetch(new URL("models/index.json", import.meta.url));
-  /** @type {string[]} */
-  const models = reply.ok ? (await reply.json()).models : [];
-  return Object.keys(LEARNED).filter(name => models.includes(LEARNED[name]));
+  try {
+    const policy = await status();
+    if (policy === null) throw new Error("this page was built without the module for learned planners");
+    if (policy.state === "failed") throw new Error(notBuilt(policy));
+    const reply = await fetch(new URL("models/index.json", import.meta.url));
+    if (!reply.ok) throw new Error(`the list of trained networks is not there (status ${reply.status})`);
+    /** @type {string[]} */
+    const models = (await reply.json()).models;
+    if (!models.includes(LEARNED.coil)) throw new Error("its trained network is not there");
+    return { names: Object.keys(LEARNED).filter(name => models.includes(LEARNED[name])), withheld: "" };
+  } catch (error) {
+    return { names: [], withheld: `COIL-PS, the learned planner, is not offered: ${error instanceof Error ? error.message : error}.` };
+  }
 }
+
+/** @param {{ message?: string }} policy */
+const notBuilt = policy => `the module for learned planners was not built: ${policy.message}`;
 
 /**
  * Waits while the server that came with this page still compiles the module.
@@ -116,7 +127,7 @@ export async function learnedPlanners() {
 async function built(signal, progress) {
   for (;;) {
     const policy = await status(signal);
-    if (policy?.state === "failed") throw new Error(`the module for learned planners was not built: ${policy.message}`);
+    if (policy?.state === "failed") throw new Error(notBuilt(policy));
     if (policy?.state !== "building" && policy?.state !== "waiting") return;
     progress(policy.state === "building" ? `the server compiles the learned planners (${policy.seconds} s)` : "the learned planners are compiled next");
     await new Promise(resolve => setTimeout(resolve, 1000));

@@ -7,8 +7,8 @@
  * A unit direction towards a light: x right, y up, z to the camera.
  * @typedef {[number, number, number]} Direction
  *
- * What the core offers; families of sculptures with a line for people, and materials, to render objects from.
- * @typedef {import("./pkg/core/coil_ps.js").Catalogue & { families: [string, string][], materials: string[] }} Catalogue
+ * What the core offers, and why the learned planners are not part of it; families of sculptures with a line for people, and materials, to render objects from.
+ * @typedef {import("./pkg/core/coil_ps.js").Catalogue & { withheld: string, families: [string, string][], materials: string[] }} Catalogue
  *
  * What to compare.
  * @typedef {import("./pkg/core/coil_ps.js").Settings} Settings

@@ -63,9 +63,9 @@ const answers = {
   async catalogue() {
     const pair = (/** @type {string} */ line) => /** @type {[string, string]} */ (line.split(": "));
     const all = lib.catalogue();
-    const learned = await learnedPlanners();
-    const planners = all.planners.filter(({ name }) => learned.includes(name) || !(name in LEARNED));
-    return { ...all, planners, families: lib.families().map(pair), materials: lib.materials() };
+    const { names, withheld } = await learnedPlanners();
+    const planners = all.planners.filter(({ name }) => names.includes(name) || !(name in LEARNED));
+    return { ...all, planners, withheld, families: lib.families().map(pair), materials: lib.materials() };
   },
 
   async open({ source }, { signal, progress }) {

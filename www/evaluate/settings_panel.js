@@ -17,7 +17,7 @@ export function mountSettings(root, { page, store, actions }) {
       <div class="row"><button type="submit" class="button primary">Run</button><button type="button" class="button cancel" disabled>Cancel</button></div>
       <div class="progress" hidden><progress max="1" aria-label="Run"></progress><span class="what number"></span></div>
     </div>
-    <fieldset class="planners"><legend>Planners</legend><div class="list"></div></fieldset>
+    <fieldset class="planners"><legend>Planners</legend><div class="list"></div><p class="note withheld" hidden></p></fieldset>
     <fieldset class="solvers"><legend>Solvers</legend><div class="list"></div></fieldset>
     <div class="pair">
       <div class="field"><label for="lights">Lights, T</label><input id="lights" type="number" min="3" max="1000" step="1" required></div>
@@ -31,6 +31,7 @@ export function mountSettings(root, { page, store, actions }) {
     <div class="field tau"><label for="tau">Width of the blend, τ in radians</label><input id="tau" type="number" min="0.001" max="10" step="any" value="0.02" required></div>
     <div class="field"><label for="seed">Seed</label><input id="seed" type="number" min="0" max="4294967295" step="1" required></div>`;
   const planners = find(root, ".planners .list", HTMLElement);
+  const withheld = find(root, ".withheld", HTMLElement);
   const solvers = find(root, ".solvers .list", HTMLElement);
   const number = (/** @type {string} */ id) => find(root, `#${id}`, HTMLInputElement);
   const protocol = find(root, "#protocol", HTMLSelectElement);
@@ -74,6 +75,8 @@ export function mountSettings(root, { page, store, actions }) {
 
   store.watch(["catalogue"], ({ catalogue }) => {
     if (!catalogue) return;
+    withheld.hidden = !catalogue.withheld;
+    withheld.textContent = catalogue.withheld;
     planners.replaceChildren(...catalogue.planners.map(({ name, label, about }) => {
       const id = `planner-${name}`;
       return html("div", { class: "choice" }, html("input", { type: "checkbox", id, value: name, "aria-describedby": `${id}-about` }),

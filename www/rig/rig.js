@@ -536,6 +536,8 @@ export async function mount(root, page) {
   const planners = catalogue.planners.filter(p => !p.oracle);
   const ours = ["coil", "tk22"].find(name => planners.some(p => p.name === name)); // coil, where its module is built
   select(".rig-planner").replaceChildren(...planners.map(p => html("option", { value: p.name, selected: p.name === ours }, p.label)));
+  $(".rig-withheld").hidden = !catalogue.withheld;
+  $(".rig-withheld").textContent = catalogue.withheld;
   select(".rig-solver").replaceChildren(...catalogue.solvers.filter(s => s.name !== "pixel").map(s => html("option", { value: s.name, selected: s.name === "trimmed", title: s.about }, s.name)));
   await listPorts();
   former = folder;

@@ -38,6 +38,7 @@ export const TEMPLATE = `
         <div class="row"><button type="button" class="button rig-look">Take a picture</button><label><input type="checkbox" class="rig-mirror"> mirror sphere beside the object</label><label>Name <input type="text" class="rig-name" value="object" size="12"></label></div>
       </div>
       <div class="row"><label>Planner <select class="rig-planner"></select></label><label>Lights <input type="number" class="rig-lights" value="10" min="3" max="100"></label><label>Solver <select class="rig-solver"></select></label><label>Seed <input type="number" class="rig-seed" value="1" min="0"></label></div>
+      <p class="note rig-withheld" hidden></p>
       <div class="row"><label>Stop at predicted error below, ° <input type="number" class="rig-stop-at" min="0.1" max="89" step="any" placeholder="never"></label></div>
       <details class="rig-more"><summary>Exposure and travel</summary>
         <div class="row"><label>Exposures, ms <input type="text" class="rig-exposures" value="1, 3.2, 10" size="12"></label><label>settle, s <input type="number" class="rig-settle" value="0.3" min="0" max="30" step="0.1"></label><label>LED <input type="number" class="rig-brightness" value="800" min="1" max="100000"></label></div>

@@ -420,6 +420,21 @@ test("the learned planner runs in the page and shows its gate and its speed", as
   });
 });
 
+test("where the learned planner is not there the page says why, and works with the others", async () => {
+  await withPage(QUICK, async page => {
+    await page.route("**/build-status.json", route => route.fulfill({ json: { modules: { policy: { state: "failed", message: "no linker" } } } }));
+    await page.reload();
+    await tableDone(page);
+    assert.equal(
+      await page.locator(".withheld").innerText(),
+      "COIL-PS, the learned planner, is not offered: the module for learned planners was not built: no linker.",
+    );
+    assert.equal(await page.locator("#planner-coil").count(), 0);
+    await page.getByRole("tab", { name: "Rig" }).click();
+    await page.locator(".rig-withheld").waitFor();
+  });
+});
+
 test("screen readers: axe finds no violation, light and dark, wide and narrow, with table, dialog and problem", async () => {
   const axe = await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
   /** @param {Page} page @param {string} state */
