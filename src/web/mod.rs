@@ -178,5 +178,5 @@ fn directions(values: &[f32]) -> Result<Vec<Vec3>, JsError> {
 }
 
 fn flat(directions: &[Vec3]) -> Vec<f32> {
-    directions.iter().flat_map(|d| d.to_array()).collect()
+    bytemuck::cast_slice(directions).to_vec()
 }
