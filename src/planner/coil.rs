@@ -64,12 +64,7 @@ impl Planner for Coil {
             self.wish = run.observe(rgb, seen.light).map_err(|e| PlanError::Model(e.to_string()))?;
         }
         match view.domain {
-            Domain::Candidates(all) => {
-                let free = |i: usize| !view.seen.iter().any(|o| o.requested == all[i]);
-                let i = light::nearest(self.wish, all, free);
-                i.map(|i| all[i])
-                    .ok_or(PlanError::TooFewCandidates { candidates: all.len(), lights: view.lights })
-            }
+            Domain::Candidates(_) => view.nearest_free(self.wish),
             Domain::Hemisphere { reach } => Ok(apart(self.wish, *reach, view)),
         }
     }

@@ -36,6 +36,18 @@ impl View<'_> {
         let all = self.domain.candidates().unwrap_or_default();
         all.iter().copied().enumerate().filter(|(_, c)| !self.seen.iter().any(|o| o.requested == *c))
     }
+
+    /// What a finite set has for `wish`: the nearest candidate not asked for yet.
+    ///
+    /// # Errors
+    /// [`PlanError::TooFewCandidates`] where none is left.
+    pub fn nearest_free(&self, wish: Vec3) -> Result<Vec3, PlanError> {
+        let free: Vec<Vec3> = self.free_candidates().map(|(_, c)| c).collect();
+        let candidates = self.domain.candidates().map_or(0, <[Vec3]>::len);
+        light::nearest(wish, &free, |_| true)
+            .map(|i| free[i])
+            .ok_or(PlanError::TooFewCandidates { candidates, lights: self.lights })
+    }
 }
 
 /// Why a planner can't name a light.

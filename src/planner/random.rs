@@ -2,7 +2,6 @@
 
 use super::{PlanError, Planner, View};
 use crate::camera::Domain;
-use crate::light;
 use crate::rng::Rng;
 use glam::Vec3;
 
@@ -25,12 +24,7 @@ impl Planner for Random {
     fn next(&mut self, view: &View) -> Result<Vec3, PlanError> {
         let wish = self.rng.direction(view.domain.reach());
         match view.domain {
-            Domain::Candidates(all) => {
-                let free: Vec<Vec3> = view.free_candidates().map(|(_, c)| c).collect();
-                light::nearest(wish, &free, |_| true)
-                    .map(|i| free[i])
-                    .ok_or(PlanError::TooFewCandidates { candidates: all.len(), lights: view.lights })
-            }
+            Domain::Candidates(_) => view.nearest_free(wish),
             Domain::Hemisphere { .. } => Ok(wish),
         }
     }
