@@ -62,12 +62,7 @@ fn rendered(generator: &Generator, number: usize, size: u32) -> Result<Vec<Pixel
     };
     let scene =
         object.scene(&Options { size, ..Options::default() }).map_err(|e| format!("{}: {e}", object.name))?;
-    let tolerances = Tolerances {
-        direction: rng.range(0.0, 1.2f32).to_radians(),
-        intensity: rng.range(0.0, 0.025),
-        ..Tolerances::RIG
-    };
-    let camera = SceneCamera::real(&scene, tolerances, number as u64);
+    let camera = SceneCamera::real(&scene, Tolerances::any(&mut rng), number as u64);
     let truth = scene.truth();
     let mut sets = vec![random(&mut rng, 10), random(&mut rng, 10)];
     sets.push(dc05_ring_and_vertical(10, rng.range(0.0, TAU)).map_err(|e| e.to_string())?);

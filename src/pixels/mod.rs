@@ -9,6 +9,7 @@ pub mod fit;
 pub mod tune;
 
 use crate::light;
+use crate::render::tolerance::NEAREST;
 use crate::render::worlds::Split;
 use crate::render::{Abc, Ggx, Material};
 use crate::rng::Rng;
@@ -19,7 +20,6 @@ use std::f32::consts::{FRAC_PI_2, PI, TAU};
 const GREY: [f32; 3] = [0.2989, 0.5870, 0.1140];
 /// Most of a patch's or lobe's brightness that one sample may carry: a sample stands for a solid angle.
 const SAMPLE_LIMIT: f32 = 4.0;
-
 /// Makes synthetic pixels.
 #[derive(Clone, Debug)]
 pub struct Generator {
@@ -71,10 +71,9 @@ struct Rig {
     step: f32,
     gain_error: f32,
     direction_error: f32,
-    /// Shift of all lights alike, for a pixel off the centre under lamps at a finite distance.
-    parallax: Vec3,
-    /// How much nearer lamps on one side are, relative to the mean.
-    falloff: Vec3,
+    /// The pixel's place on the object in units of the lamps' distance from its centre: it sees lamps elsewhere than the
+    /// centre does, those on its own side nearer.
+    place: Vec3,
     ambient: f32,
 }
 
@@ -186,11 +185,12 @@ impl Generator {
             let normal = facing_camera(rng);
             (self.surface(rng, normal), share)
         });
-        let rig = Rig::random(rng);
+        let rig = Rig::random(rng, normal);
         let mut values: Vec<f32> = lights
             .iter()
             .map(|&l| {
-                let turned = l + rig.parallax + rig.direction_error * unit_normal(rng);
+                let lamp = l - rig.place;
+                let turned = lamp + rig.direction_error * unit_normal(rng);
                 let true_light = turned.normalize();
                 let passed = walls.iter().map(|w| w.visible(true_light, softness)).fold(1.0, f32::min);
                 let mut v = surface.shade(true_light, Vec3::Z) * passed;
@@ -202,7 +202,7 @@ impl Generator {
                     let reflected = surface.shade(patch.direction, Vec3::Z).min(SAMPLE_LIMIT);
                     v += reflected * lit * patch.solid_angle / PI;
                 }
-                v * (1.0 + rig.falloff.dot(true_light) + rig.gain_error * rng.normal()).max(0.1)
+                v / lamp.length_squared() * (1.0 + rig.gain_error * rng.normal()).max(0.1)
             })
             .collect();
         let mean = values.iter().sum::<f32>() / values.len() as f32;
@@ -292,7 +292,7 @@ impl Generator {
 }
 
 impl Rig {
-    fn random(rng: &mut Rng) -> Self {
+    fn random(rng: &mut Rng, normal: Vec3) -> Self {
         let eight_bit = rng.uniform() < 0.3;
         let brightest = if rng.uniform() < 0.15 { 1.2 } else { 0.0 };
         Self {
@@ -303,8 +303,7 @@ impl Rig {
             step: if eight_bit { 1.0 / 255.0 } else { 1.0 / 65535.0 },
             gain_error: rng.uniform() * 0.04,
             direction_error: rng.uniform() * 0.025,
-            parallax: rng.uniform() * 0.03 * Vec3::new(rng.normal(), rng.normal(), 0.0),
-            falloff: rng.uniform() * 0.06 * Vec3::new(rng.normal(), rng.normal(), 0.0),
+            place: place(rng, normal),
             ambient: if rng.uniform() < 0.5 { 0.0 } else { rng.uniform() * 0.04 },
         }
     }
@@ -320,6 +319,15 @@ impl Rig {
             *v = libm::roundf(clipped / self.step) * self.step;
         }
     }
+}
+
+/// Where a pixel with this normal is, in units of the lamps' distance: lamps stand as near as [`NEAREST`] says, or as good
+/// as infinitely far, and what faces right is more often on the right.
+fn place(rng: &mut Rng, normal: Vec3) -> Vec3 {
+    let half_width = if rng.uniform() < 0.3 { 0.0 } else { rng.range(0.0, NEAREST) };
+    let bulge = if rng.uniform() < 0.7 { rng.uniform() } else { 0.0 };
+    let at = bulge * normal + (1.0 - bulge) * 0.5 * unit_normal(rng);
+    half_width * Vec3::new(at.x, at.y, 0.7 * (at.z - 0.5 * bulge)).clamp_length_max(1.0)
 }
 
 /// A normal as cameras see them: mostly uniform over the disc of a sphere's picture, some nearer the rim.

@@ -286,7 +286,7 @@ impl Camera for SceneCamera<'_> {
         check_direction(direction)?;
         let mut rgb = self.scene.render(self.errors.map_or(direction, |e| e.light(direction)));
         if let Some(errors) = self.errors {
-            errors.expose(direction, &mut rgb);
+            errors.expose(self.scene, direction, &mut rgb);
         }
         let grey = rgb.iter().map(|[r, g, b]| (r + g + b) / 3.0).collect();
         Ok(Observation {

@@ -25,6 +25,12 @@ pub struct Recipe {
     /// Folder of meshes that some of the training objects are; without it all are sculptures.
     #[serde(default)]
     pub meshes: Option<String>,
+    /// Whether half of the draws are seen by a rig good or bad, its light near or far, instead of the careful one.
+    #[serde(default)]
+    pub any_rig: bool,
+    /// Whether training objects are turned about the optical axis at random: which way is up is then nothing to learn.
+    #[serde(default)]
+    pub roll: bool,
     /// Objects in the training pool.
     pub objects: usize,
     /// Side of the training pictures, pixels.
@@ -97,6 +103,8 @@ impl Recipe {
             seed: 1,
             from: None,
             meshes: None,
+            any_rig: false,
+            roll: false,
             objects: 2000,
             resolution: 40,
             steps: 3000,

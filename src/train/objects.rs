@@ -24,8 +24,8 @@ struct Real {
 }
 
 impl Real {
-    fn new(scene: render::Scene, seed: u64) -> Self {
-        let errors = Errors::new(&scene, Tolerances::RIG, seed);
+    fn new(scene: render::Scene, rig: Tolerances, seed: u64) -> Self {
+        let errors = Errors::new(&scene, rig, seed);
         Self { scene, errors }
     }
 }
@@ -39,13 +39,17 @@ impl Scene for Real {
     }
     fn image(&self, light: Vec3) -> Vec<[f32; 3]> {
         let mut rgb = self.scene.render(self.errors.light(light));
-        self.errors.expose(light, &mut rgb);
+        self.errors.expose(&self.scene, light, &mut rgb);
         rgb
     }
     /// Errors move with the light: the gradient is that of the picture without them.
     fn image_with_gradient(&self, light: Vec3) -> Shading {
-        let (mut rgb, gradient) = Scene::image_with_gradient(&self.scene, self.errors.light(light));
-        self.errors.expose(light, &mut rgb);
+        let there = self.errors.light(light);
+        let (mut rgb, mut gradient) = Scene::image_with_gradient(&self.scene, there);
+        for (gradient, factor) in gradient.iter_mut().zip(self.errors.nearness(&self.scene, there)) {
+            *gradient = gradient.map(|g| g * factor);
+        }
+        self.errors.expose(&self.scene, light, &mut rgb);
         (rgb, gradient)
     }
 }
@@ -58,14 +62,28 @@ struct Bare {
     exchange: Exchange,
 }
 
+/// How training objects are seen.
+#[derive(Clone, Copy, Debug)]
+pub struct Looks {
+    /// Width and height of the pictures.
+    pub size: u32,
+    /// Softness of shadow boundaries.
+    pub softness: f32,
+    /// See every other draw, on average, with [`Tolerances::any`] instead of [`Tolerances::RIG`].
+    pub any_rig: bool,
+    /// Turn each object about the optical axis by an angle of its own.
+    pub roll: bool,
+}
+
 /// The policy's training objects, made when first drawn and kept; each draw gets a finish of its own.
 pub struct Training {
-    size: u32,
-    softness: f32,
+    looks: Looks,
     meshes: Vec<(String, Mesh)>,
     made: Mutex<HashMap<usize, Arc<Bare>>>,
 }
 
+/// Seed of the angles by which they are turned.
+const ROLL: u64 = 0x726f_6c6c;
 /// One in so many training objects is a mesh, if there are any.
 const MESH_EVERY: usize = 4;
 /// Azimuths of the training objects' horizon maps: what soft shadows need, in half the memory of the test's.
@@ -74,19 +92,28 @@ const AZIMUTHS: usize = 32;
 const EXCHANGE: (usize, usize) = (12, 1);
 
 impl Training {
-    /// Objects in pictures of `size × size` pixels with shadow boundaries of this softness: sculptures, and where there are
-    /// meshes every [`MESH_EVERY`]th one of these, in another pose each time.
+    /// Sculptures, and where there are meshes every [`MESH_EVERY`]th object one of these, in another pose each time.
     ///
     /// # Errors
     /// A mesh that can't be rendered.
-    pub fn new(size: u32, softness: f32, meshes: Vec<(String, Mesh)>) -> Result<Self, RenderError> {
+    pub fn new(looks: Looks, meshes: Vec<(String, Mesh)>) -> Result<Self, RenderError> {
         for (_, mesh) in &meshes {
             Pose::fit(&Shape::Mesh(mesh.clone()), Mat3::IDENTITY)?;
         }
-        Ok(Self { size, softness, meshes, made: Mutex::new(HashMap::new()) })
+        Ok(Self { looks, meshes, made: Mutex::new(HashMap::new()) })
     }
 
     fn object(&self, index: usize) -> Object {
+        let object = self.upright(index);
+        if !self.looks.roll {
+            return object;
+        }
+        let (sin, cos) = libm::sincosf(Rng::stream(ROLL, index as u64).range(0.0, std::f32::consts::TAU));
+        let roll = Mat3::from_cols(Vec3::new(cos, sin, 0.0), Vec3::new(-sin, cos, 0.0), Vec3::Z);
+        Object { rotation: roll * object.rotation, ..object }
+    }
+
+    fn upright(&self, index: usize) -> Object {
         if self.meshes.is_empty() || !index.is_multiple_of(MESH_EVERY) {
             return worlds::training(SEED, index);
         }
@@ -102,7 +129,7 @@ impl Training {
         }
         let object = self.object(index);
         let pose = Pose::fit(&object.shape, object.rotation).expect("a sculpture can be seen");
-        let view = View::new(&object.shape, &pose, self.size).expect("a sculpture can be seen");
+        let view = View::new(&object.shape, &pose, self.looks.size).expect("a sculpture can be seen");
         let horizon = Horizon::new(&view, AZIMUTHS);
         let (azimuths, levels) = EXCHANGE;
         let exchange = Exchange::new(&view, azimuths, levels);
@@ -124,10 +151,13 @@ impl Pool for Training {
             horizon: bare.horizon.clone(),
             exchange: Some(bare.exchange.clone()),
             skin,
-            softness: self.softness,
+            softness: self.looks.softness,
             bounces: 1,
         };
-        Box::new(Real::new(scene, rng.next_u64()))
+        let seed = rng.next_u64();
+        let other = self.looks.any_rig && rng.uniform() < 0.5;
+        let rig = if other { Tolerances::any(rng) } else { Tolerances::RIG };
+        Box::new(Real::new(scene, rig, seed))
     }
 }
 
@@ -152,7 +182,7 @@ pub fn validation(
                     Object::dressed(name, Shape::Mesh(mesh.clone()), worlds::Split::Validation, rng)
                 }
             };
-            Ok(Box::new(Real::new(object.scene(&options)?, i as u64)) as Box<dyn Scene>)
+            Ok(Box::new(Real::new(object.scene(&options)?, Tolerances::RIG, i as u64)) as Box<dyn Scene>)
         })
         .collect()
 }
@@ -160,6 +190,8 @@ pub fn validation(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const LOOKS: Looks = Looks { size: 20, softness: 0.05, any_rig: false, roll: false };
 
     #[test]
     fn meshes_are_validated_on_in_turn_each_time_otherwise() {
@@ -178,8 +210,8 @@ mod tests {
     fn some_training_objects_are_meshes_where_there_are_any() {
         let tent = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nv 0 0 1\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\n";
         let mesh = Mesh::from_bytes("tent.obj", tent.as_bytes()).unwrap();
-        let (plain, mixed) =
-            [Vec::new(), vec![("tent".to_owned(), mesh)]].map(|m| Training::new(20, 0.05, m).unwrap()).into();
+        let new = |meshes| Training::new(LOOKS, meshes).unwrap();
+        let (plain, mixed) = (new(Vec::new()), new(vec![("tent".to_owned(), mesh)]));
         let names = |pool: &Training| (0..8).map(|i| pool.object(i).name).collect::<Vec<_>>();
         let (plain, mixed) = (names(&plain), names(&mixed));
         assert_eq!(mixed.iter().filter(|n| *n == "tent").count(), 8 / MESH_EVERY);
@@ -187,10 +219,25 @@ mod tests {
     }
 
     #[test]
+    fn rolled_objects_lean_everywhere() {
+        let new = |roll| Training::new(Looks { roll, ..LOOKS }, Vec::new()).unwrap();
+        let (upright, rolled) = (new(false), new(true));
+        let mut sum = Vec3::ZERO;
+        for i in 0..40 {
+            let (a, b) = (upright.object(i).rotation, rolled.object(i).rotation);
+            assert_eq!(a.row(2), b.row(2), "the same side faces the camera");
+            sum += (b * a.transpose()).x_axis;
+        }
+        // Forty random directions; upright it would be 40.
+        assert!(sum.length() < 20.0, "{sum}");
+    }
+
+    #[test]
     fn the_pool_repeats_itself() {
-        let pool = Training::new(20, 0.05, Vec::new()).unwrap();
+        let new = || Training::new(Looks { any_rig: true, roll: true, ..LOOKS }, Vec::new()).unwrap();
+        let pool = new();
         let draw = |pool: &Training| pool.draw(3, &mut Rng::new(8)).image(Vec3::new(0.6, 0.0, 0.8));
         assert_eq!(draw(&pool), draw(&pool));
-        assert_eq!(draw(&pool), draw(&Training::new(20, 0.05, Vec::new()).unwrap()));
+        assert_eq!(draw(&pool), draw(&new()));
     }
 }

@@ -17,8 +17,8 @@ pub enum Object {
     Scene {
         /// What is seen.
         scene: Box<Scene>,
-        /// By a camera without errors.
-        ideal: bool,
+        /// With what errors.
+        rig: Option<Tolerances>,
     },
 }
 
@@ -27,10 +27,10 @@ impl Object {
     pub fn with_subject<T>(&self, reach: f32, f: impl FnOnce(&Subject) -> T) -> T {
         match self {
             Self::Stack(stack) => f(&Subject::Stack(stack)),
-            Self::Scene { scene, ideal } => {
-                let camera = match ideal {
-                    true => SceneCamera::new(scene),
-                    false => SceneCamera::real(scene, Tolerances::RIG, 1),
+            Self::Scene { scene, rig } => {
+                let camera = match rig {
+                    None => SceneCamera::new(scene),
+                    Some(rig) => SceneCamera::real(scene, *rig, 1),
                 };
                 f(&Subject::Scene { name: &scene.name, camera: &camera, truth: Some(scene.truth()), reach })
             }
@@ -58,6 +58,16 @@ pub struct Selection {
     /// See rendered objects without a rig's errors (noise, 0.5° of the light's direction, 1 % of its brightness).
     #[arg(long)]
     ideal: bool,
+    /// Distance of the light from rendered objects, in half widths of the object; without it infinitely far.
+    #[arg(long, conflicts_with = "ideal", value_parser = distance)]
+    distance: Option<f32>,
+}
+
+fn distance(text: &str) -> Result<f32, String> {
+    match text.parse::<f32>() {
+        Ok(v) if v >= 3.0 => Ok(v),
+        _ => Err("a number of half widths, at least 3".into()),
+    }
 }
 
 fn degrees(text: &str) -> Result<f32, String> {
@@ -90,16 +100,19 @@ impl Selection {
                 Ok(objects) => {
                     for object in objects {
                         let scene = object.scene(&self.options()).map_err(anyhow::Error::from);
-                        each(
-                            &object.name,
-                            scene.map(|s| Object::Scene { scene: Box::new(s), ideal: self.ideal }),
-                        )?;
+                        let ready = |s| Object::Scene { scene: Box::new(s), rig: self.rig() };
+                        each(&object.name, scene.map(ready))?;
                     }
                 }
                 Err(error) => each(path, Err(error))?,
             }
         }
         Ok(())
+    }
+
+    fn rig(&self) -> Option<Tolerances> {
+        let far = Tolerances::RIG.distance;
+        (!self.ideal).then(|| Tolerances { distance: self.distance.unwrap_or(far), ..Tolerances::RIG })
     }
 
     fn options(&self) -> Options {
