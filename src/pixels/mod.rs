@@ -9,7 +9,6 @@ pub mod fit;
 pub mod tune;
 
 use crate::light;
-use crate::render::tolerance::NEAREST;
 use crate::render::worlds::Split;
 use crate::render::{Abc, Ggx, Material};
 use crate::rng::Rng;
@@ -321,10 +320,10 @@ impl Rig {
     }
 }
 
-/// Where a pixel with this normal is, in units of the lamps' distance: lamps stand as near as [`NEAREST`] says, or as good
-/// as infinitely far, and what faces right is more often on the right.
+/// Where a pixel with this normal is, in units of the lamps' distance: lamps stand seven half widths of the object away or
+/// farther, and what faces right is more often on the right.
 fn place(rng: &mut Rng, normal: Vec3) -> Vec3 {
-    let half_width = if rng.uniform() < 0.3 { 0.0 } else { rng.range(0.0, NEAREST) };
+    let half_width = if rng.uniform() < 0.3 { 0.0 } else { rng.range(0.0, 0.15) };
     let bulge = if rng.uniform() < 0.7 { rng.uniform() } else { 0.0 };
     let at = bulge * normal + (1.0 - bulge) * 0.5 * unit_normal(rng);
     half_width * Vec3::new(at.x, at.y, 0.7 * (at.z - 0.5 * bulge)).clamp_length_max(1.0)

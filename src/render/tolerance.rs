@@ -30,22 +30,20 @@ impl Tolerances {
         distance: f32::INFINITY,
     };
 
-    /// Some rig: its directions up to 1.2° wrong, its brightness up to 2.5 %; every third one with a collimated light, the
-    /// others with one at seven half widths of the object or farther.
+    /// Some rig: its directions up to 1.2° wrong, its brightness up to 2.5 %; every second one with a collimated light, the
+    /// others with one at ten half widths of the object or farther.
     #[must_use]
     pub fn any(rng: &mut Rng) -> Self {
-        let collimated = rng.uniform() < 0.3;
+        let collimated = rng.uniform() < 0.5;
         Self {
             direction: rng.range(0.0, 1.2f32).to_radians(),
             intensity: rng.range(0.0, 0.025),
-            distance: if collimated { f32::INFINITY } else { 1.0 / rng.range(1e-3, NEAREST) },
+            distance: if collimated { f32::INFINITY } else { 1.0 / rng.range(1e-3, 0.1) },
             ..Self::RIG
         }
     }
 }
 
-/// Half width of the object in units of the nearest light's distance.
-pub const NEAREST: f32 = 0.15;
 /// Cosines of grazing light are taken for this, and no cosine grows more than [`MOST_TURNED`] times.
 const LOWEST_COSINE: f32 = 0.05;
 const MOST_TURNED: f32 = 2.0;

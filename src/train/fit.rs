@@ -25,12 +25,11 @@ pub struct Recipe {
     /// Folder of meshes that some of the training objects are; without it all are sculptures.
     #[serde(default)]
     pub meshes: Option<String>,
-    /// Whether half of the draws are seen by a rig good or bad, its light near or far, instead of the careful one.
+    /// Whether sequences of limited reach, as all real rigs have it, show real life's variety: objects turned about the
+    /// optical axis at random, half of them seen by a rig good or bad. Over the whole hemisphere objects stand upright before
+    /// the careful rig all the same.
     #[serde(default)]
-    pub any_rig: bool,
-    /// Whether training objects are turned about the optical axis at random: which way is up is then nothing to learn.
-    #[serde(default)]
-    pub roll: bool,
+    pub varied: bool,
     /// Objects in the training pool.
     pub objects: usize,
     /// Side of the training pictures, pixels.
@@ -91,6 +90,8 @@ const SHORTEST_REACH: f32 = 25.0 * PI / 180.0;
 const LONGEST_STAGE: f32 = 65.0 * PI / 180.0;
 /// Makes the numbers of pictures of the updates independent of what else is drawn.
 const LENGTHS: u64 = 0x6c65_6e67;
+/// Makes what is drawn of reach and look-up independent of the object, which may depend on it.
+const PLACES: u64 = 0x706c_6163;
 /// Stored lights of soft interpolation (the paper's K).
 const STORED: usize = 1000;
 
@@ -103,8 +104,7 @@ impl Recipe {
             seed: 1,
             from: None,
             meshes: None,
-            any_rig: false,
-            roll: false,
+            varied: false,
             objects: 2000,
             resolution: 40,
             steps: 3000,
@@ -225,8 +225,8 @@ impl Recipe {
 
 /// Where training objects come from: any number of them, by index, the same for the same index.
 pub trait Pool: Sync {
-    /// The object of this index with a material, texture and turn drawn from `rng`.
-    fn draw(&self, index: usize, rng: &mut Rng) -> Box<dyn Scene>;
+    /// The object of this index with a material, texture and turn drawn from `rng`; `varied`: see [`Recipe::varied`].
+    fn draw(&self, index: usize, varied: bool, rng: &mut Rng) -> Box<dyn Scene>;
 }
 
 /// What a step reports.
@@ -342,23 +342,34 @@ impl Trainer {
     /// Sequence `b` of the next update: its own random numbers, whatever came before.
     fn draw(&self, pool: &dyn Pool, b: usize) -> Drawn {
         let r = &self.recipe;
-        let mut rng = Rng::stream(r.seed, self.step * r.batch as u64 + b as u64);
-        let scene = pool.draw(rng.below(r.objects), &mut rng);
-        let kind = rng.uniform();
-        let (reach, lookup) = if kind < r.whole_dome {
-            (FRAC_PI_2, Lookup::Exact)
-        } else if kind < r.whole_dome + r.finite {
-            let reach = rng.range(SHORTEST_REACH, LONGEST_STAGE);
-            let set = light_set(&mut rng, reach);
-            (crate::light::reach(&set), Lookup::Nearest(set))
+        let number = self.step * r.batch as u64 + b as u64;
+        let mut rng = Rng::stream(r.seed, number);
+        let index = rng.below(r.objects);
+        let (scene, (reach, lookup)) = if r.varied {
+            let place = self.place(&mut Rng::stream(r.seed ^ PLACES, number));
+            (pool.draw(index, place.0 < FRAC_PI_2, &mut rng), place)
         } else {
-            (rng.range(SHORTEST_REACH, FRAC_PI_2), Lookup::Exact)
+            (pool.draw(index, false, &mut rng), self.place(&mut rng))
         };
         let lookup = match (r.tau, lookup) {
             (Some(tau), Lookup::Exact) => Lookup::Soft { tau, lights: fibonacci_cap(STORED, reach) },
             (_, lookup) => lookup,
         };
         Drawn { scene, lookup, reach }
+    }
+
+    /// A reach, and what answers a direction.
+    fn place(&self, rng: &mut Rng) -> (f32, Lookup) {
+        let kind = rng.uniform();
+        if kind < self.recipe.whole_dome {
+            (FRAC_PI_2, Lookup::Exact)
+        } else if kind < self.recipe.whole_dome + self.recipe.finite {
+            let reach = rng.range(SHORTEST_REACH, LONGEST_STAGE);
+            let set = light_set(rng, reach);
+            (crate::light::reach(&set), Lookup::Nearest(set))
+        } else {
+            (rng.range(SHORTEST_REACH, FRAC_PI_2), Lookup::Exact)
+        }
     }
 }
 
@@ -404,7 +415,7 @@ mod tests {
 
     struct Bumps;
     impl Pool for Bumps {
-        fn draw(&self, index: usize, rng: &mut Rng) -> Box<dyn Scene> {
+        fn draw(&self, index: usize, _: bool, rng: &mut Rng) -> Box<dyn Scene> {
             Box::new(Bump::new(14 + index as u32, rng.range(0.0, 4.0)))
         }
     }

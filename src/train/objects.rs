@@ -62,27 +62,15 @@ struct Bare {
     exchange: Exchange,
 }
 
-/// How training objects are seen.
-#[derive(Clone, Copy, Debug)]
-pub struct Looks {
-    /// Width and height of the pictures.
-    pub size: u32,
-    /// Softness of shadow boundaries.
-    pub softness: f32,
-    /// See every other draw, on average, with [`Tolerances::any`] instead of [`Tolerances::RIG`].
-    pub any_rig: bool,
-    /// Turn each object about the optical axis by an angle of its own.
-    pub roll: bool,
-}
-
 /// The policy's training objects, made when first drawn and kept; each draw gets a finish of its own.
 pub struct Training {
-    looks: Looks,
+    size: u32,
+    softness: f32,
     meshes: Vec<(String, Mesh)>,
-    made: Mutex<HashMap<usize, Arc<Bare>>>,
+    made: Mutex<HashMap<(usize, bool), Arc<Bare>>>,
 }
 
-/// Seed of the angles by which they are turned.
+/// Seed of the angles by which varied objects are turned.
 const ROLL: u64 = 0x726f_6c6c;
 /// One in so many training objects is a mesh, if there are any.
 const MESH_EVERY: usize = 4;
@@ -92,20 +80,21 @@ const AZIMUTHS: usize = 32;
 const EXCHANGE: (usize, usize) = (12, 1);
 
 impl Training {
-    /// Sculptures, and where there are meshes every [`MESH_EVERY`]th object one of these, in another pose each time.
+    /// Objects in pictures of `size × size` pixels with shadow boundaries of this softness: sculptures, and where there are
+    /// meshes every [`MESH_EVERY`]th one of these, in another pose each time.
     ///
     /// # Errors
     /// A mesh that can't be rendered.
-    pub fn new(looks: Looks, meshes: Vec<(String, Mesh)>) -> Result<Self, RenderError> {
+    pub fn new(size: u32, softness: f32, meshes: Vec<(String, Mesh)>) -> Result<Self, RenderError> {
         for (_, mesh) in &meshes {
             Pose::fit(&Shape::Mesh(mesh.clone()), Mat3::IDENTITY)?;
         }
-        Ok(Self { looks, meshes, made: Mutex::new(HashMap::new()) })
+        Ok(Self { size, softness, meshes, made: Mutex::new(HashMap::new()) })
     }
 
-    fn object(&self, index: usize) -> Object {
+    fn object(&self, index: usize, rolled: bool) -> Object {
         let object = self.upright(index);
-        if !self.looks.roll {
+        if !rolled {
             return object;
         }
         let (sin, cos) = libm::sincosf(Rng::stream(ROLL, index as u64).range(0.0, std::f32::consts::TAU));
@@ -122,26 +111,26 @@ impl Training {
         Object::dressed(name, Shape::Mesh(mesh.clone()), worlds::Split::Train, rng)
     }
 
-    fn bare(&self, index: usize) -> Arc<Bare> {
-        let made = |map: &HashMap<usize, Arc<Bare>>| map.get(&index).cloned();
+    fn bare(&self, index: usize, rolled: bool) -> Arc<Bare> {
+        let made = |map: &HashMap<(usize, bool), Arc<Bare>>| map.get(&(index, rolled)).cloned();
         if let Some(bare) = made(&self.made.lock().expect("no thread panicked")) {
             return bare;
         }
-        let object = self.object(index);
+        let object = self.object(index, rolled);
         let pose = Pose::fit(&object.shape, object.rotation).expect("a sculpture can be seen");
-        let view = View::new(&object.shape, &pose, self.looks.size).expect("a sculpture can be seen");
+        let view = View::new(&object.shape, &pose, self.size).expect("a sculpture can be seen");
         let horizon = Horizon::new(&view, AZIMUTHS);
         let (azimuths, levels) = EXCHANGE;
         let exchange = Exchange::new(&view, azimuths, levels);
         let bare = Arc::new(Bare { pose, view, horizon, exchange });
-        self.made.lock().expect("no thread panicked").insert(index, bare.clone());
+        self.made.lock().expect("no thread panicked").insert((index, rolled), bare.clone());
         bare
     }
 }
 
 impl Pool for Training {
-    fn draw(&self, index: usize, rng: &mut Rng) -> Box<dyn Scene> {
-        let bare = self.bare(index);
+    fn draw(&self, index: usize, varied: bool, rng: &mut Rng) -> Box<dyn Scene> {
+        let bare = self.bare(index, varied);
         let finish = worlds::finish(worlds::Split::Train, rng);
         let skin = finish.skin(&bare.view, &bare.pose);
         let scene = render::Scene {
@@ -151,12 +140,12 @@ impl Pool for Training {
             horizon: bare.horizon.clone(),
             exchange: Some(bare.exchange.clone()),
             skin,
-            softness: self.looks.softness,
+            softness: self.softness,
             bounces: 1,
         };
         let seed = rng.next_u64();
-        let other = self.looks.any_rig && rng.uniform() < 0.5;
-        let rig = if other { Tolerances::any(rng) } else { Tolerances::RIG };
+        let any = varied && rng.uniform() < 0.5;
+        let rig = if any { Tolerances::any(rng) } else { Tolerances::RIG };
         Box::new(Real::new(scene, rig, seed))
     }
 }
@@ -191,8 +180,6 @@ pub fn validation(
 mod tests {
     use super::*;
 
-    const LOOKS: Looks = Looks { size: 20, softness: 0.05, any_rig: false, roll: false };
-
     #[test]
     fn meshes_are_validated_on_in_turn_each_time_otherwise() {
         let tent = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nv 0 0 1\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\n";
@@ -210,9 +197,9 @@ mod tests {
     fn some_training_objects_are_meshes_where_there_are_any() {
         let tent = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nv 0 0 1\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\n";
         let mesh = Mesh::from_bytes("tent.obj", tent.as_bytes()).unwrap();
-        let new = |meshes| Training::new(LOOKS, meshes).unwrap();
+        let new = |meshes| Training::new(20, 0.05, meshes).unwrap();
         let (plain, mixed) = (new(Vec::new()), new(vec![("tent".to_owned(), mesh)]));
-        let names = |pool: &Training| (0..8).map(|i| pool.object(i).name).collect::<Vec<_>>();
+        let names = |pool: &Training| (0..8).map(|i| pool.object(i, false).name).collect::<Vec<_>>();
         let (plain, mixed) = (names(&plain), names(&mixed));
         assert_eq!(mixed.iter().filter(|n| *n == "tent").count(), 8 / MESH_EVERY);
         assert_eq!(plain[1..MESH_EVERY], mixed[1..MESH_EVERY]);
@@ -220,11 +207,10 @@ mod tests {
 
     #[test]
     fn rolled_objects_lean_everywhere() {
-        let new = |roll| Training::new(Looks { roll, ..LOOKS }, Vec::new()).unwrap();
-        let (upright, rolled) = (new(false), new(true));
+        let pool = Training::new(20, 0.05, Vec::new()).unwrap();
         let mut sum = Vec3::ZERO;
         for i in 0..40 {
-            let (a, b) = (upright.object(i).rotation, rolled.object(i).rotation);
+            let (a, b) = (pool.object(i, false).rotation, pool.object(i, true).rotation);
             assert_eq!(a.row(2), b.row(2), "the same side faces the camera");
             sum += (b * a.transpose()).x_axis;
         }
@@ -234,9 +220,9 @@ mod tests {
 
     #[test]
     fn the_pool_repeats_itself() {
-        let new = || Training::new(Looks { any_rig: true, roll: true, ..LOOKS }, Vec::new()).unwrap();
+        let new = || Training::new(20, 0.05, Vec::new()).unwrap();
         let pool = new();
-        let draw = |pool: &Training| pool.draw(3, &mut Rng::new(8)).image(Vec3::new(0.6, 0.0, 0.8));
+        let draw = |pool: &Training| pool.draw(3, true, &mut Rng::new(8)).image(Vec3::new(0.6, 0.0, 0.8));
         assert_eq!(draw(&pool), draw(&pool));
         assert_eq!(draw(&pool), draw(&new()));
     }

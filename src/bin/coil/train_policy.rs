@@ -83,12 +83,9 @@ pub struct Args {
     /// Tell the policy how many pictures there will be, 3 to T, and count the error after the last one alone.
     #[arg(long, conflicts_with = "first_loss")]
     horizon: bool,
-    /// See half of the draws with a rig good or bad, its light near or far, instead of the careful one
+    /// Show real life's variety in sequences of limited reach: objects turned about the optical axis, rigs good and bad
     #[arg(long)]
-    any_rig: bool,
-    /// Turn training objects about the optical axis at random, so that which way is up is nothing to learn
-    #[arg(long)]
-    roll: bool,
+    varied: bool,
     /// Solver to train through.
     #[arg(long)]
     solver: Option<String>,
@@ -192,13 +189,8 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     };
     let compute = Compute::new(processor, threads)?;
     let meshes = trainer.recipe.meshes.as_deref().map(|dir| read_meshes(Path::new(dir))).transpose()?;
-    let looks = objects::Looks {
-        size: trainer.recipe.resolution,
-        softness: trainer.recipe.softness,
-        any_rig: trainer.recipe.any_rig,
-        roll: trainer.recipe.roll,
-    };
-    let pool = objects::Training::new(looks, meshes.unwrap_or_default())?;
+    let (size, softness) = (trainer.recipe.resolution, trainer.recipe.softness);
+    let pool = objects::Training::new(size, softness, meshes.unwrap_or_default())?;
     let meshes = args.validation_meshes.as_deref().map(read_meshes).transpose()?.unwrap_or_default();
     let scenes = objects::validation(&meshes, args.validation_objects, trainer.recipe.resolution)?;
     eprintln!(
@@ -326,8 +318,7 @@ fn recipe(args: &Args) -> anyhow::Result<Recipe> {
     set(&mut r.feedback, args.feedback);
     set(&mut r.measure, args.measure);
     set(&mut r.first_loss, args.first_loss);
-    r.any_rig |= args.any_rig;
-    r.roll |= args.roll;
+    r.varied |= args.varied;
     if args.horizon {
         r.config.horizon = r.lights;
     }
