@@ -31,6 +31,9 @@ const PIXELS: usize = 48;
 const VALIDATION_SHARE: f32 = 0.4;
 /// The first validation objects are left to be looked at.
 const FIRST_VALIDATION: usize = 1000;
+/// Share of the rigs whose light is collimated, and half width of the object in units of the nearest light's distance.
+const COLLIMATED: f32 = 0.8;
+const NEAREST: f32 = 0.08;
 /// Smallest error, degrees: rounding is nothing to learn from.
 const LEAST: f32 = 0.02;
 
@@ -62,7 +65,7 @@ fn rendered(generator: &Generator, number: usize, size: u32) -> Result<Vec<Pixel
     };
     let scene =
         object.scene(&Options { size, ..Options::default() }).map_err(|e| format!("{}: {e}", object.name))?;
-    let camera = SceneCamera::real(&scene, Tolerances::any(&mut rng), number as u64);
+    let camera = SceneCamera::real(&scene, Tolerances::any(&mut rng, COLLIMATED, NEAREST), number as u64);
     let truth = scene.truth();
     let mut sets = vec![random(&mut rng, 10), random(&mut rng, 10)];
     sets.push(dc05_ring_and_vertical(10, rng.range(0.0, TAU)).map_err(|e| e.to_string())?);

@@ -30,15 +30,15 @@ impl Tolerances {
         distance: f32::INFINITY,
     };
 
-    /// Some rig: its directions up to 1.2° wrong, its brightness up to 2.5 %; four of five with a collimated light, the
-    /// others with one at twelve half widths of the object or farther.
+    /// Some rig: its directions up to 1.2° wrong, its brightness up to 2.5 %; a share `collimated` of them with a collimated
+    /// light, the others with one at 1/`nearest` half widths of the object or farther.
     #[must_use]
-    pub fn any(rng: &mut Rng) -> Self {
-        let collimated = rng.uniform() < 0.8;
+    pub fn any(rng: &mut Rng, collimated: f32, nearest: f32) -> Self {
+        let collimated = rng.uniform() < collimated;
         Self {
             direction: rng.range(0.0, 1.2f32).to_radians(),
             intensity: rng.range(0.0, 0.025),
-            distance: if collimated { f32::INFINITY } else { 1.0 / rng.range(1e-3, 0.08) },
+            distance: if collimated { f32::INFINITY } else { 1.0 / rng.range(1e-3, nearest) },
             ..Self::RIG
         }
     }

@@ -26,7 +26,7 @@ pub struct Recipe {
     #[serde(default)]
     pub meshes: Option<String>,
     /// Whether sequences of limited reach, as all real rigs have it, show real life's variety: objects turned about the
-    /// optical axis at random, half of them seen by a rig good or bad. Over the whole hemisphere objects stand upright before
+    /// optical axis at random, rigs good and bad, lights near and far. Over the whole hemisphere objects stand upright before
     /// the careful rig all the same.
     #[serde(default)]
     pub varied: bool,

@@ -70,6 +70,10 @@ pub struct Training {
     made: Mutex<HashMap<(usize, bool), Arc<Bare>>>,
 }
 
+/// Share of the rigs of varied objects whose light is collimated, and half width of the object in units of the nearest light's
+/// distance.
+const COLLIMATED: f32 = 0.3;
+const NEAREST: f32 = 0.15;
 /// Seed of the angles by which varied objects are turned.
 const ROLL: u64 = 0x726f_6c6c;
 /// One in so many training objects is a mesh, if there are any.
@@ -144,8 +148,7 @@ impl Pool for Training {
             bounces: 1,
         };
         let seed = rng.next_u64();
-        let any = varied && rng.uniform() < 0.5;
-        let rig = if any { Tolerances::any(rng) } else { Tolerances::RIG };
+        let rig = if varied { Tolerances::any(rng, COLLIMATED, NEAREST) } else { Tolerances::RIG };
         Box::new(Real::new(scene, rig, seed))
     }
 }
