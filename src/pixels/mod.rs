@@ -19,6 +19,7 @@ use std::f32::consts::{FRAC_PI_2, PI, TAU};
 const GREY: [f32; 3] = [0.2989, 0.5870, 0.1140];
 /// Most of a patch's or lobe's brightness that one sample may carry: a sample stands for a solid angle.
 const SAMPLE_LIMIT: f32 = 4.0;
+
 /// Makes synthetic pixels.
 #[derive(Clone, Debug)]
 pub struct Generator {
