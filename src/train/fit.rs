@@ -91,7 +91,7 @@ const LONGEST_STAGE: f32 = 65.0 * PI / 180.0;
 /// Makes the numbers of pictures of the updates independent of what else is drawn.
 const LENGTHS: u64 = 0x6c65_6e67;
 /// Makes what is drawn of reach and look-up independent of the object, which may depend on it.
-const PLACES: u64 = 0x706c_6163;
+const STAGES: u64 = 0x706c_6163;
 /// Stored lights of soft interpolation (the paper's K).
 const STORED: usize = 1000;
 
@@ -346,10 +346,10 @@ impl Trainer {
         let mut rng = Rng::stream(r.seed, number);
         let index = rng.below(r.objects);
         let (scene, (reach, lookup)) = if r.varied {
-            let place = self.place(&mut Rng::stream(r.seed ^ PLACES, number));
-            (pool.draw(index, place.0 < FRAC_PI_2, &mut rng), place)
+            let stage = self.stage(&mut Rng::stream(r.seed ^ STAGES, number));
+            (pool.draw(index, stage.0 < FRAC_PI_2, &mut rng), stage)
         } else {
-            (pool.draw(index, false, &mut rng), self.place(&mut rng))
+            (pool.draw(index, false, &mut rng), self.stage(&mut rng))
         };
         let lookup = match (r.tau, lookup) {
             (Some(tau), Lookup::Exact) => Lookup::Soft { tau, lights: fibonacci_cap(STORED, reach) },
@@ -358,8 +358,8 @@ impl Trainer {
         Drawn { scene, lookup, reach }
     }
 
-    /// A reach, and what answers a direction.
-    fn place(&self, rng: &mut Rng) -> (f32, Lookup) {
+    /// Where a sequence's lights may be: the reach, and what answers a direction.
+    fn stage(&self, rng: &mut Rng) -> (f32, Lookup) {
         let kind = rng.uniform();
         if kind < self.recipe.whole_dome {
             (FRAC_PI_2, Lookup::Exact)
