@@ -1,7 +1,7 @@
 //! A training run as bytes, and back.
 //!
 //! Layout: magic, length of a JSON head (recipe, step, best error), head, then 32-bit numbers little endian: weights,
-//! both moments, best weights if there are any; at the end a fingerprint of all that.
+//! both moments, their running average and the best weights if there are any; at the end a fingerprint of all that.
 
 use super::adamw::AdamW;
 use super::fit::{Recipe, Trainer};
@@ -49,8 +49,8 @@ pub fn write(t: &Trainer) -> Vec<u8> {
     let mut numbers = |values: &[f32]| out.extend(values.iter().flat_map(|v| v.to_le_bytes()));
     t.weights.params.iter().for_each(|p| numbers(&p.values));
     t.adam.first.iter().chain(&t.adam.second).for_each(|v| numbers(v));
-    if let Some((best, _)) = &t.best {
-        best.params.iter().for_each(|p| numbers(&p.values));
+    for weights in t.average.iter().chain(t.best.iter().map(|(best, _)| best)) {
+        weights.params.iter().for_each(|p| numbers(&p.values));
     }
     let print = fingerprint(out.iter().copied());
     out.extend(print.to_le_bytes());
@@ -76,7 +76,7 @@ pub fn read(bytes: &[u8]) -> Result<Trainer, CheckpointError> {
     let (head, rest) = rest.split_at_checked(length).ok_or_else(|| damaged("no head"))?;
     let head: Head = serde_json::from_slice(head).map_err(|e| CheckpointError::Damaged(e.to_string()))?;
     let mut t = Trainer::new(head.recipe).map_err(CheckpointError::Damaged)?;
-    let copies = if head.best.is_some() { 4 } else { 3 };
+    let copies = 3 + usize::from(t.average.is_some()) + usize::from(head.best.is_some());
     let (numbers, tail) = rest.as_chunks::<4>();
     if numbers.len() != copies * t.weights.count() || !tail.is_empty() {
         return Err(damaged("another number of weights than its network has"));
@@ -87,6 +87,9 @@ pub fn read(bytes: &[u8]) -> Result<Trainer, CheckpointError> {
     t.weights.params.iter_mut().for_each(|p| fill(&mut p.values));
     adam.first.iter_mut().chain(&mut adam.second).for_each(&mut fill);
     adam.updates = head.updates;
+    if let Some(average) = &mut t.average {
+        average.params.iter_mut().for_each(|p| fill(&mut p.values));
+    }
     if let Some(degrees) = head.best {
         let mut best: Weights = t.weights.clone();
         best.params.iter_mut().for_each(|p| fill(&mut p.values));

@@ -115,6 +115,15 @@ impl Weights {
         told
     }
 
+    /// Goes this share of the way to `other`, parameters of the same network.
+    pub fn approach(&mut self, other: &Self, share: f32) {
+        for (mine, theirs) in self.params.iter_mut().zip(&other.params) {
+            for (a, b) in mine.values.iter_mut().zip(&theirs.values) {
+                *a += share * (b - *a);
+            }
+        }
+    }
+
     /// Number of trained values.
     #[must_use]
     pub fn count(&self) -> usize {

@@ -101,6 +101,9 @@ pub struct Args {
     /// Learning rate.
     #[arg(long)]
     rate: Option<f32>,
+    /// Share of the old in the running average of the weights that is validated and shipped; 0 for none.
+    #[arg(long)]
+    averaging: Option<f32>,
     /// Pictures a sequence, T.
     #[arg(long)]
     lights: Option<usize>,
@@ -224,7 +227,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
         bar.inc(1);
         let due = trainer.step.is_multiple_of(args.validate_every) || trainer.done();
         if due {
-            let found = validate::policy(&trainer.weights, &scenes, trainer.recipe.blank, &compute);
+            let found = validate::policy(trainer.judged(), &scenes, trainer.recipe.blank, &compute);
             let better = trainer.validated(found.degrees.last());
             let after = trainer.step;
             let [a, b, c] = found.degrees.0;
@@ -275,7 +278,7 @@ fn choose(
     compute: &Compute,
 ) -> anyhow::Result<ExitCode> {
     let best = trainer.best.take().map(|best| best.0);
-    for (name, weights) in [("best", best), ("last", Some(trainer.weights.clone()))] {
+    for (name, weights) in [("best", best), ("last", Some(trainer.judged().clone()))] {
         let Some(weights) = weights else { continue };
         let found = validate::policy(&weights, scenes, trainer.recipe.blank, compute);
         let [a, b, c] = found.degrees.0;
@@ -313,6 +316,7 @@ fn recipe(args: &Args) -> anyhow::Result<Recipe> {
     set(&mut r.batch, args.batch);
     set(&mut r.micro_batch, args.micro_batch);
     set(&mut r.rate, args.rate);
+    set(&mut r.averaging, args.averaging);
     set(&mut r.lights, args.lights);
     set(&mut r.seed, args.seed);
     set(&mut r.feedback, args.feedback);
@@ -380,7 +384,7 @@ fn read_meshes(dir: &Path) -> anyhow::Result<Vec<(String, Mesh)>> {
 /// A new run of the network, and with the best weights, of the run in `from`.
 fn begin_from(from: &Path, recipe: Recipe) -> anyhow::Result<Trainer> {
     let other = resume(from)?;
-    let weights = other.best.map_or(other.weights, |best| best.0);
+    let weights = other.best.as_ref().map_or_else(|| other.judged().clone(), |best| best.0.clone());
     // The folder's name, not where it lies: a recipe is passed on.
     let name = fs::canonicalize(from)?.file_name().map(|name| name.to_string_lossy().into_owned());
     let recipe = Recipe { from: name, ..recipe };
