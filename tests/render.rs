@@ -61,6 +61,23 @@ fn what_is_rendered_can_be_evaluated() {
     assert!(there.iter().zip(&here).all(|(a, b)| (a - b).abs() < 1e-6), "{here:?}");
 }
 
+/// What the page does by default: the learned planner chooses the lights, a solver makes normals of the pictures.
+#[cfg(feature = "policy")]
+#[test]
+fn the_learned_planner_can_be_solved_with() {
+    let models = concat!(env!("CARGO_MANIFEST_DIR"), "/models");
+    let solve = |more: &[&str]| {
+        good(&[&["solve", "blob:3+nylon", "--size", "32", "--solver", "ls"][..], more].concat())
+    };
+    let lit = solve(&["--planner", "coil", "--lights", "5", "--models", models]);
+    assert!(lit.contains("5 lights, ls: expected"), "{lit}");
+    assert_ne!(lit, solve(&["--planner", "lipids", "--lights", "5"]));
+    let nothing = folder("no-models");
+    let error =
+        coil(&["solve", "blob:3+nylon", "--size", "32", "--planner", "coil", "--models", text(&nothing)]);
+    assert!(!error.status.success() && String::from_utf8_lossy(&error.stderr).contains("compact"));
+}
+
 #[test]
 fn shards_make_the_same_set() {
     let out = folder("shards");

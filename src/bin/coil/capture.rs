@@ -104,10 +104,8 @@ pub struct Args {
     /// How the simulated arm really stands: AZIMUTH,SLANT,TILT_X,TILT_Y in degrees. The program does not know.
     #[arg(long, value_parser = misaligned, allow_hyphen_values = true, value_name = "ANGLES")]
     misaligned: Option<Mount>,
-    /// Folder with the learned planners' networks.
-    #[cfg(feature = "policy")]
-    #[arg(long, default_value = "models")]
-    models: PathBuf,
+    #[command(flatten)]
+    models: crate::models::Folder,
     /// Part of the sensor that is kept: LEFT,TOP,WIDTH,HEIGHT.
     #[arg(long, value_parser = crop)]
     crop: Option<Crop>,
@@ -438,18 +436,14 @@ fn capture(args: &Args, mut source: Source, mask: Option<Mask>) -> anyhow::Resul
         Source::Simulated { truth, .. } => *truth,
         Source::Folder { .. } => None,
     };
-    #[cfg(feature = "policy")]
-    let models = crate::models::Models::load(&args.models, std::slice::from_ref(&args.planner))?;
+    let models = args.models.load(std::slice::from_ref(&args.planner))?;
     let setup = planner::Setup {
         lights: args.lights,
         seed: args.seed,
         draw: 0,
         camera: None,
         truth: None,
-        #[cfg(feature = "policy")]
         learned: Some(&models),
-        #[cfg(not(feature = "policy"))]
-        learned: None,
     };
     let mut planner = planner::build(&args.planner, &setup)?;
     if let Some(degrees) = args.nearby {

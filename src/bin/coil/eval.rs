@@ -1,5 +1,6 @@
 //! `coil eval`: the table of planners and solvers on every object.
 
+use crate::models;
 use crate::objects::Selection;
 use crate::output;
 use anyhow::Context;
@@ -43,10 +44,8 @@ pub struct EvalArgs {
     /// Seed of all repetitions.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Folder with the trained planners' models.
-    #[cfg(feature = "policy")]
-    #[arg(long, value_name = "DIR", default_value = "models")]
-    models: PathBuf,
+    #[command(flatten)]
+    models: models::Folder,
     /// Write the results as JSON to FILE (- or nothing: to standard output, instead of the table).
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "-")]
     json: Option<PathBuf>,
@@ -68,12 +67,7 @@ pub fn run(args: EvalArgs) -> anyhow::Result<ExitCode> {
         stop_at: args.stop_at.map(|stop| stop.degrees),
     };
     let runs = settings.runs()?;
-    #[cfg(feature = "policy")]
-    let models = crate::models::Models::load(&args.models, &settings.planners)?;
-    #[cfg(feature = "policy")]
-    let learned: Option<&dyn Learned> = Some(&models);
-    #[cfg(not(feature = "policy"))]
-    let learned: Option<&dyn Learned> = None;
+    let models = args.models.load(&settings.planners)?;
     let mut results = Vec::new();
     args.selection.for_each(settings.protocol, |name, object| {
         let object = match object {
@@ -86,7 +80,7 @@ pub fn run(args: EvalArgs) -> anyhow::Result<ExitCode> {
         };
         let reach = args.selection.reach.to_radians();
         let rows = object.with_subject(reach, |subject| {
-            evaluate(subject, &runs, &settings, learned, args.out.as_deref())
+            evaluate(subject, &runs, &settings, &models, args.out.as_deref())
         })?;
         results.extend(rows);
         Ok(())
@@ -109,14 +103,14 @@ fn evaluate(
     subject: &Subject,
     runs: &[RunSpec],
     settings: &Settings,
-    learned: Option<&dyn Learned>,
+    learned: &dyn Learned,
     out: Option<&Path>,
 ) -> anyhow::Result<Vec<Row>> {
     let bar = output::progress(runs.len(), subject.name());
     let done: Vec<(RunSpec, Result<Run, SessionError>)> = runs
         .par_iter()
         .map(|spec| {
-            let mut run = table::run(subject, spec, &settings.solvers, learned);
+            let mut run = table::run(subject, spec, &settings.solvers, Some(learned));
             if let (Ok(run), true) = (&mut run, spec.draw > 0 || out.is_none()) {
                 run.forget_pixels();
             }

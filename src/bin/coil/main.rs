@@ -9,7 +9,6 @@ mod files;
 mod info;
 #[cfg(feature = "policy")]
 mod model;
-#[cfg(feature = "policy")]
 mod models;
 mod objects;
 mod output;

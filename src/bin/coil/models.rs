@@ -1,15 +1,15 @@
-//! The trained planners of a `models` folder, by planner name.
+//! The trained planners of a `models` folder, by planner name. A build without the feature `policy` has none.
 
-use crate::model;
-use anyhow::Context;
-use coil_ps::planner::coil::Coil;
 use coil_ps::planner::{Learned, Planner};
-use coil_ps::policy::Policy;
 use glam::Vec3;
-use std::collections::BTreeMap;
-use std::path::Path;
+#[cfg(feature = "policy")]
+use {
+    crate::model, anyhow::Context, coil_ps::planner::coil::Coil, coil_ps::policy::Policy,
+    std::collections::BTreeMap, std::path::PathBuf,
+};
 
 /// Planner name, and the folder of its two files under `models`.
+#[cfg(feature = "policy")]
 const FOLDERS: [(&str, &str); 4] = [
     ("coil", "compact"),
     ("coil-no-gate", "compact-no-gate"),
@@ -17,30 +17,50 @@ const FOLDERS: [(&str, &str); 4] = [
     ("coil-blank", "compact-blank"),
 ];
 
+/// The option that says where the models are.
+#[derive(clap::Args)]
+pub struct Folder {
+    /// Folder with the trained planners' models.
+    #[cfg(feature = "policy")]
+    #[arg(long, value_name = "DIR", default_value = "models")]
+    models: PathBuf,
+}
+
 /// Loaded policies.
 #[derive(Default)]
-pub struct Models(BTreeMap<&'static str, Policy>);
+pub struct Models {
+    #[cfg(feature = "policy")]
+    policies: BTreeMap<&'static str, Policy>,
+}
 
-impl Models {
-    /// Loads the policies that `planners` name from the folders under `models`.
+impl Folder {
+    /// Loads the policies that `planners` name.
     ///
     /// # Errors
     /// A file that is missing or can't be used.
-    pub fn load(models: &Path, planners: &[String]) -> anyhow::Result<Self> {
-        let mut loaded = BTreeMap::new();
+    #[cfg(feature = "policy")]
+    pub fn load(&self, planners: &[String]) -> anyhow::Result<Models> {
+        let mut policies = BTreeMap::new();
         for (name, folder) in FOLDERS.iter().filter(|(name, _)| planners.iter().any(|p| p == name)) {
-            let folder = models.join(folder);
+            let folder = self.models.join(folder);
             let policy =
                 Policy::load(&model::read(&folder)?).with_context(|| folder.display().to_string())?;
-            loaded.insert(*name, policy);
+            policies.insert(*name, policy);
         }
-        Ok(Self(loaded))
+        Ok(Models { policies })
+    }
+
+    /// No policies.
+    #[cfg(not(feature = "policy"))]
+    pub fn load(&self, _planners: &[String]) -> anyhow::Result<Models> {
+        Ok(Models::default())
     }
 }
 
+#[cfg(feature = "policy")]
 impl Learned for Models {
     fn planner(&self, name: &str, start: Vec3) -> Option<Box<dyn Planner>> {
-        let policy = self.0.get(name)?.clone();
+        let policy = self.policies.get(name)?.clone();
         Some(if name == "coil-blank" {
             Box::new(Coil::blank(policy, start))
         } else {
@@ -49,6 +69,13 @@ impl Learned for Models {
     }
 
     fn network(&self, name: &str) -> Option<String> {
-        Some(self.0.get(name)?.header().network.clone())
+        Some(self.policies.get(name)?.header().network.clone())
+    }
+}
+
+#[cfg(not(feature = "policy"))]
+impl Learned for Models {
+    fn planner(&self, _name: &str, _start: Vec3) -> Option<Box<dyn Planner>> {
+        None
     }
 }

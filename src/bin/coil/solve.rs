@@ -1,5 +1,6 @@
 //! `coil solve`: normals, expected error and surface of objects, as files.
 
+use crate::models::{self, Models};
 use crate::objects::Selection;
 use crate::output;
 use anyhow::Context;
@@ -28,6 +29,8 @@ pub struct Args {
     /// Planner that chooses the lights; `all` takes every light of the stack.
     #[arg(long, default_value = ALL_LIGHTS)]
     planner: String,
+    #[command(flatten)]
+    models: models::Folder,
     /// Number of lights that the planner chooses.
     #[arg(long, default_value_t = 10)]
     lights: usize,
@@ -56,6 +59,7 @@ const SCALE: f32 = 45.0;
 
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let solver = solve::by_name(&args.solver)?;
+    let models = args.models.load(std::slice::from_ref(&args.planner))?;
     let mut failed = false;
     let mut predictions = Vec::new();
     args.selection.for_each(args.protocol, |name, object| {
@@ -68,7 +72,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
             }
         };
         let reach = args.selection.reach.to_radians();
-        let both = object.with_subject(reach, |subject| one(subject, solver.as_ref(), &args));
+        let both = object.with_subject(reach, |subject| one(subject, solver.as_ref(), &models, &args));
         predictions.extend(both.with_context(|| name.to_owned())?);
         Ok(())
     })?;
@@ -87,7 +91,12 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
 }
 
 /// Solves one object; its expected and true mean error where both are known.
-fn one(subject: &Subject, solver: &dyn solve::Solver, args: &Args) -> anyhow::Result<Option<(f64, f64)>> {
+fn one(
+    subject: &Subject,
+    solver: &dyn solve::Solver,
+    models: &Models,
+    args: &Args,
+) -> anyhow::Result<Option<(f64, f64)>> {
     let lookup = Lookup::Nearest;
     let spec = RunSpec {
         planner: args.planner.clone(),
@@ -97,7 +106,7 @@ fn one(subject: &Subject, solver: &dyn solve::Solver, args: &Args) -> anyhow::Re
         seed: args.seed,
         stop_at: None,
     };
-    let seen = table::run(subject, &spec, &[], None)?.seen;
+    let seen = table::run(subject, &spec, &[], Some(models))?.seen;
     // Planners look back only, so stopping early and cutting the whole run short are the same.
     let counts = if args.stop_at.is_some() { 3..=seen.len() } else { seen.len()..=seen.len() };
     let mut result = None;
