@@ -9,8 +9,8 @@ pub mod fit;
 pub mod tune;
 
 use crate::light;
+use crate::render::Material;
 use crate::render::worlds::Split;
-use crate::render::{Abc, Ggx, Material};
 use crate::rng::Rng;
 use glam::Vec3;
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
@@ -110,9 +110,7 @@ impl Generator {
     /// A generator with the measured materials of a split of `worlds-v1` (and GGX, Lambert and mixtures).
     #[must_use]
     pub fn new(split: Split) -> Self {
-        let names = split.materials();
-        let of_split = Abc::all().iter().filter(|m| names.contains(&m.name.as_str()));
-        Self { measured: of_split.cloned().map(Material::Abc).collect() }
+        Self { measured: split.measured() }
     }
 
     /// A light set of `count` directions: random on a cap, a ring with or without its vertical, a spiral or a
@@ -212,9 +210,12 @@ impl Generator {
     }
 
     fn surface(&self, rng: &mut Rng, normal: Vec3) -> Surface {
-        let first = self.material(rng);
-        let (second, share) =
-            if rng.uniform() < 0.2 { (self.material(rng), rng.uniform()) } else { (first.clone(), 0.0) };
+        let first = Material::any(rng, &self.measured);
+        let (second, share) = if rng.uniform() < 0.2 {
+            (Material::any(rng, &self.measured), rng.uniform())
+        } else {
+            (first.clone(), 0.0)
+        };
         let facets = if rng.uniform() < 0.15 {
             let spread = rng.range(0.02, 0.25);
             (0..4).map(|_| (normal + spread * unit_normal(rng)).normalize()).collect()
@@ -222,26 +223,6 @@ impl Generator {
             vec![normal]
         };
         Surface { normal, facets, materials: [(first, 1.0 - share), (second, share)] }
-    }
-
-    fn material(&self, rng: &mut Rng) -> Material {
-        let kind = rng.uniform();
-        if kind < 0.5 && !self.measured.is_empty() {
-            return self.measured[rng.below(self.measured.len())].clone();
-        }
-        if kind < 0.55 {
-            return Material::Lambert([rng.range(0.05, 1.0); 3]);
-        }
-        let (kd, f0, alpha) = if kind < 0.8 {
-            // Plastic, paint, glaze.
-            (rng.range(0.02, 0.9), rng.range(0.02, 0.15), rng.range(0.04, 0.7))
-        } else if kind < 0.9 {
-            // Metallic paint: a broad lobe over little that is diffuse.
-            (rng.range(0.02, 0.3), rng.range(0.1, 0.7), rng.range(0.25, 0.8))
-        } else {
-            (rng.range(0.0, 0.05), rng.range(0.4, 1.0), rng.range(0.1, 0.6))
-        };
-        Material::Ggx(Ggx { kd: [kd; 3], f0: [f0; 3], alpha })
     }
 
     /// What stands around the pixel: nothing for more than half of them.

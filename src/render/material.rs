@@ -4,6 +4,7 @@
 //! white Lambertian patch facing the light has the value 1.
 
 use super::real::{Real, V3};
+use crate::rng::Rng;
 use glam::Vec3;
 use std::sync::LazyLock;
 
@@ -142,6 +143,28 @@ enum Lobe<R> {
 }
 
 impl Material {
+    /// Some material: half of the time one of the `measured` ones, else Lambert, plastic, paint, glaze, metallic paint or metal.
+    #[must_use]
+    pub fn any(rng: &mut Rng, measured: &[Self]) -> Self {
+        let kind = rng.uniform();
+        if kind < 0.5 && !measured.is_empty() {
+            return measured[rng.below(measured.len())].clone();
+        }
+        if kind < 0.55 {
+            return Self::Lambert([rng.range(0.05, 1.0); 3]);
+        }
+        let (kd, f0, alpha) = if kind < 0.8 {
+            // Plastic, paint, glaze.
+            (rng.range(0.02, 0.9), rng.range(0.02, 0.15), rng.range(0.04, 0.7))
+        } else if kind < 0.9 {
+            // Metallic paint: a broad lobe over little that is diffuse.
+            (rng.range(0.02, 0.3), rng.range(0.1, 0.7), rng.range(0.25, 0.8))
+        } else {
+            (rng.range(0.0, 0.05), rng.range(0.4, 1.0), rng.range(0.1, 0.6))
+        };
+        Self::Ggx(Ggx { kd: [kd; 3], f0: [f0; 3], alpha })
+    }
+
     /// The material under a light.
     #[must_use]
     pub fn lit<R: Real>(&self, directions: &Directions<R>) -> Lit<R> {

@@ -89,6 +89,14 @@ impl Split {
         Abc::all().iter().map(|m| m.name.as_str()).filter(|name| held_out(name) == self).collect()
     }
 
+    /// The split's materials.
+    #[must_use]
+    pub fn measured(self) -> Vec<Material> {
+        let names = self.materials();
+        let of_split = Abc::all().iter().filter(|m| names.contains(&m.name.as_str()));
+        of_split.cloned().map(Material::Abc).collect()
+    }
+
     /// A sculpture seed of this split.
     fn shape_seed(self, rng: &mut Rng) -> u64 {
         3 * rng.below_u64(1 << 40) + self as u64
@@ -133,14 +141,24 @@ impl Object {
     }
 }
 
-/// A finish of a split: half of the objects are of one material, a quarter has a second in patches, four in ten an
-/// albedo texture.
+/// A finish of a split's measured materials: half of the objects are of one material, a quarter has a second in patches, four in
+/// ten an albedo texture.
 #[must_use]
 pub fn finish(split: Split, rng: &mut Rng) -> Finish {
     let names = split.materials();
-    let draw = |rng: &mut Rng| {
+    finish_of(rng, |rng| {
         Material::Abc(Abc::named(names[rng.below(names.len())]).expect("names come from the file").clone())
-    };
+    })
+}
+
+/// The same of any material.
+#[must_use]
+pub fn any_finish(split: Split, rng: &mut Rng) -> Finish {
+    let measured = split.measured();
+    finish_of(rng, |rng| Material::any(rng, &measured))
+}
+
+fn finish_of(rng: &mut Rng, draw: impl Fn(&mut Rng) -> Material) -> Finish {
     let material = draw(rng);
     let patches = (rng.uniform() < 0.25).then(|| (draw(rng), rng.next_u64()));
     let texture = (rng.uniform() < 0.4).then(|| rng.next_u64());

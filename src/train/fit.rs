@@ -30,6 +30,10 @@ pub struct Recipe {
     /// the careful rig all the same.
     #[serde(default)]
     pub varied: bool,
+    /// Whether objects of varied sequences are of any material ([`crate::render::Material::any`]): measured ones alone are metals and
+    /// plastics for the most part.
+    #[serde(default)]
+    pub any_material: bool,
     /// Objects in the training pool.
     pub objects: usize,
     /// Side of the training pictures, pixels.
@@ -109,6 +113,7 @@ impl Recipe {
             from: None,
             meshes: None,
             varied: false,
+            any_material: false,
             objects: 2000,
             resolution: 40,
             steps: 3000,
@@ -184,6 +189,12 @@ impl Recipe {
         }
         if !(self.rate > 0.0 && self.rate < 1.0) {
             return Err(format!("learning rate {}: between 0 and 1", self.rate));
+        }
+        if !(self.whole_dome >= 0.0 && self.finite >= 0.0 && self.whole_dome + self.finite <= 1.0) {
+            return Err(format!(
+                "shares of {} over the whole hemisphere and {} with a finite set: neither below 0, together at most 1",
+                self.whole_dome, self.finite
+            ));
         }
         if !(0.0..1.0).contains(&self.averaging) {
             return Err(format!("averaging {}: 0 for none, or below 1", self.averaging));
@@ -531,6 +542,7 @@ mod tests {
         assert!(far(t.judged(), &t.weights) < whole && far(t.judged(), &begun) < whole);
         t.validated(3.0);
         assert_eq!(&t.best.as_ref().unwrap().0, t.judged());
+        assert!(Recipe { whole_dome: 0.6, finite: 0.5, ..recipe() }.check().unwrap_err().contains("0.5"));
         assert!(Recipe { averaging: 1.0, ..recipe() }.check().unwrap_err().contains("averaging"));
     }
 

@@ -67,6 +67,7 @@ pub struct Training {
     size: u32,
     softness: f32,
     meshes: Vec<(String, Mesh)>,
+    any_material: bool,
     made: Mutex<HashMap<(usize, bool), Arc<Bare>>>,
 }
 
@@ -93,7 +94,13 @@ impl Training {
         for (_, mesh) in &meshes {
             Pose::fit(&Shape::Mesh(mesh.clone()), Mat3::IDENTITY)?;
         }
-        Ok(Self { size, softness, meshes, made: Mutex::new(HashMap::new()) })
+        Ok(Self { size, softness, meshes, any_material: false, made: Mutex::new(HashMap::new()) })
+    }
+
+    /// The same, with varied objects of any material, see [`super::fit::Recipe::any_material`].
+    #[must_use]
+    pub fn of_any_material(self, any_material: bool) -> Self {
+        Self { any_material, ..self }
     }
 
     fn object(&self, index: usize, rolled: bool) -> Object {
@@ -135,7 +142,8 @@ impl Training {
 impl Pool for Training {
     fn draw(&self, index: usize, varied: bool, rng: &mut Rng) -> Box<dyn Scene> {
         let bare = self.bare(index, varied);
-        let finish = worlds::finish(worlds::Split::Train, rng);
+        let finish = if varied && self.any_material { worlds::any_finish } else { worlds::finish };
+        let finish = finish(worlds::Split::Train, rng);
         let skin = finish.skin(&bare.view, &bare.pose);
         let scene = render::Scene {
             name: index.to_string(),
@@ -228,5 +236,19 @@ mod tests {
         let draw = |pool: &Training| pool.draw(3, true, &mut Rng::new(8)).image(Vec3::new(0.6, 0.0, 0.8));
         assert_eq!(draw(&pool), draw(&pool));
         assert_eq!(draw(&pool), draw(&new()));
+    }
+
+    #[test]
+    fn varied_objects_alone_are_of_any_material() {
+        let new = || Training::new(20, 0.05, Vec::new()).unwrap();
+        let (measured, any) = (new(), new().of_any_material(true));
+        let differ = |varied: bool| {
+            let draw = |pool: &Training, i| {
+                pool.draw(i, varied, &mut Rng::new(i as u64)).image(Vec3::new(0.6, 0.0, 0.8))
+            };
+            (0..4).filter(|&i| draw(&measured, i) != draw(&any, i)).count()
+        };
+        assert!(differ(true) > 0);
+        assert_eq!(differ(false), 0);
     }
 }

@@ -86,6 +86,15 @@ pub struct Args {
     /// Show real life's variety in sequences of limited reach: objects turned about the optical axis, rigs good and bad
     #[arg(long)]
     varied: bool,
+    /// Objects of varied sequences are of any material, not measured ones alone
+    #[arg(long)]
+    any_material: bool,
+    /// Share of the sequences over the whole hemisphere
+    #[arg(long)]
+    whole_dome: Option<f32>,
+    /// Share of the sequences with a finite light set; the rest has a random reach
+    #[arg(long)]
+    finite: Option<f32>,
     /// Solver to train through.
     #[arg(long)]
     solver: Option<String>,
@@ -193,7 +202,8 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let compute = Compute::new(processor, threads)?;
     let meshes = trainer.recipe.meshes.as_deref().map(|dir| read_meshes(Path::new(dir))).transpose()?;
     let (size, softness) = (trainer.recipe.resolution, trainer.recipe.softness);
-    let pool = objects::Training::new(size, softness, meshes.unwrap_or_default())?;
+    let pool = objects::Training::new(size, softness, meshes.unwrap_or_default())?
+        .of_any_material(trainer.recipe.any_material);
     let meshes = args.validation_meshes.as_deref().map(read_meshes).transpose()?.unwrap_or_default();
     let scenes = objects::validation(&meshes, args.validation_objects, trainer.recipe.resolution)?;
     eprintln!(
@@ -323,6 +333,9 @@ fn recipe(args: &Args) -> anyhow::Result<Recipe> {
     set(&mut r.measure, args.measure);
     set(&mut r.first_loss, args.first_loss);
     r.varied |= args.varied;
+    r.any_material |= args.any_material;
+    set(&mut r.whole_dome, args.whole_dome);
+    set(&mut r.finite, args.finite);
     if args.horizon {
         r.config.horizon = r.lights;
     }
