@@ -96,6 +96,8 @@ fn fourth() -> usize {
 const SHORTEST_REACH: f32 = 25.0 * PI / 180.0;
 /// Largest reach of the finite light sets, radians (65°).
 const LONGEST_STAGE: f32 = 65.0 * PI / 180.0;
+/// Reach in the validation of policies for limited reach, radians (45°).
+const LIMITED_VALIDATION: f32 = 45.0 * PI / 180.0;
 /// Makes the numbers of pictures of the updates independent of what else is drawn.
 const LENGTHS: u64 = 0x6c65_6e67;
 /// Makes what is drawn of reach and look-up independent of the object, which may depend on it.
@@ -210,6 +212,13 @@ impl Recipe {
             "ls" => Ok(Box::new(LeastSquares::default())),
             other => Err(format!("no training solver '{other}': choose from ls")),
         }
+    }
+
+    /// Largest slant of the lights in validation, radians: of a policy that is trained for limited reach alone, the middle of what
+    /// it is trained for.
+    #[must_use]
+    pub fn validated_reach(&self) -> f32 {
+        if self.whole_dome > 0.0 { FRAC_PI_2 } else { LIMITED_VALIDATION }
     }
 
     fn rate_at(&self, step: u64) -> f32 {

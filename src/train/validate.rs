@@ -14,7 +14,6 @@ use crate::rng::Rng;
 use crate::solve::least_squares::NormalEquations;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
-use std::f32::consts::FRAC_PI_2;
 
 /// Numbers of pictures at which errors are reported.
 pub const STAGES: [usize; 3] = [3, 5, 10];
@@ -48,20 +47,33 @@ pub struct Validation {
     pub slants: Vec<f32>,
 }
 
-/// How a policy does on `scenes` (whole hemisphere, pictures at exactly the direction asked for). One that is told how many
-/// pictures there will be makes a run of its own for each number.
+/// How a policy does on `scenes` with lights within `reach` (radians), pictures at exactly the direction asked for. One that is
+/// told how many pictures there will be makes a run of its own for each number.
 #[must_use]
-pub fn policy(weights: &Weights, scenes: &[Box<dyn Scene>], blank: bool, on: &Compute) -> Validation {
-    let mut found = run(weights, scenes, STAGES[2], blank, on);
+pub fn policy(
+    weights: &Weights,
+    scenes: &[Box<dyn Scene>],
+    reach: f32,
+    blank: bool,
+    on: &Compute,
+) -> Validation {
+    let mut found = run(weights, scenes, reach, STAGES[2], blank, on);
     if weights.config.horizon > 0 {
         for (s, &lights) in STAGES[..2].iter().enumerate() {
-            found.degrees.0[s] = run(weights, scenes, lights, blank, on).degrees.0[s];
+            found.degrees.0[s] = run(weights, scenes, reach, lights, blank, on).degrees.0[s];
         }
     }
     found
 }
 
-fn run(weights: &Weights, scenes: &[Box<dyn Scene>], lights: usize, blank: bool, on: &Compute) -> Validation {
+fn run(
+    weights: &Weights,
+    scenes: &[Box<dyn Scene>],
+    reach: f32,
+    lights: usize,
+    blank: bool,
+    on: &Compute,
+) -> Validation {
     let how = Conditions {
         lights,
         feedback: 0.0,
@@ -73,10 +85,8 @@ fn run(weights: &Weights, scenes: &[Box<dyn Scene>], lights: usize, blank: bool,
     let groups: Vec<&[Box<dyn Scene>]> = scenes.chunks(TOGETHER).collect();
     let runs = in_parallel(groups.len(), on.threads, |g| {
         let net = Network::new(weights, &on.device);
-        let episodes: Vec<Episode> = groups[g]
-            .iter()
-            .map(|s| Episode { scene: &**s, lookup: Lookup::Exact, reach: FRAC_PI_2 })
-            .collect();
+        let episodes: Vec<Episode> =
+            groups[g].iter().map(|s| Episode { scene: &**s, lookup: Lookup::Exact, reach }).collect();
         capture(&net, &episodes, how, &on.device)
     });
     let runs: Vec<_> = runs.into_iter().flatten().collect();
@@ -101,13 +111,13 @@ pub fn fixed(lights: &[Vec3], scenes: &[Box<dyn Scene>], threads: usize) -> Erro
     }))
 }
 
-/// Mean errors of random directions, `draws` sets an object.
+/// Mean errors of random directions within `reach` (radians), `draws` sets an object.
 #[must_use]
-pub fn random(scenes: &[Box<dyn Scene>], draws: usize, seed: u64, threads: usize) -> Errors {
+pub fn random(scenes: &[Box<dyn Scene>], reach: f32, draws: usize, seed: u64, threads: usize) -> Errors {
     Errors::mean(&in_parallel(scenes.len() * draws, threads, |i| {
         let mut rng = Rng::stream(seed, i as u64);
         let scene = &*scenes[i / draws];
-        let lights: Vec<Vec3> = (0..STAGES[2]).map(|_| rng.direction(FRAC_PI_2)).collect();
+        let lights: Vec<Vec3> = (0..STAGES[2]).map(|_| rng.direction(reach)).collect();
         let grey: Vec<Vec<f32>> = lights.iter().map(|&l| grey(scene, l)).collect();
         errors(&lights, &grey, scene.truth())
     }))
@@ -187,6 +197,7 @@ fn spread(asked: &[&[Vec3]]) -> f64 {
 mod tests {
     use super::super::formation::tests::Bump;
     use super::*;
+    use std::f32::consts::FRAC_PI_2;
 
     #[test]
     fn the_oracle_is_never_behind_and_lambert_is_exact() {
@@ -196,7 +207,7 @@ mod tests {
         assert!(fixed(&near, &matte, 1).last() < 2.0);
         let glossy: Vec<Box<dyn Scene>> = (14..18).map(|s| Box::new(Bump::new(s, 4.0)) as _).collect();
         let oracle = oracle(&glossy, &light::fibonacci_hemisphere(60), 2).last();
-        assert!(oracle < random(&glossy, 4, 1, 2).last());
+        assert!(oracle < random(&glossy, FRAC_PI_2, 4, 1, 2).last());
         assert!(oracle < fixed(&ring_and_vertical(10), &glossy, 2).last());
     }
 
@@ -204,7 +215,7 @@ mod tests {
     fn a_blind_policy_has_no_spread() {
         let scenes: Vec<Box<dyn Scene>> = (14..18).map(|s| Box::new(Bump::new(s, 4.0)) as _).collect();
         let weights = Weights::new(&crate::policy::Config::compact(), 1);
-        assert!(policy(&weights, &scenes, true, &Compute::cpu(1)).spread < 0.05);
-        assert!(policy(&weights, &scenes, false, &Compute::cpu(1)).spread > 0.05);
+        assert!(policy(&weights, &scenes, FRAC_PI_2, true, &Compute::cpu(1)).spread < 0.05);
+        assert!(policy(&weights, &scenes, FRAC_PI_2, false, &Compute::cpu(1)).spread > 0.05);
     }
 }

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, bail};
 use clap::ValueEnum;
-use coil_ps::light::{fibonacci_hemisphere, ring};
+use coil_ps::light::{azimuth, fibonacci_cap, from_azimuth_slant, ring, slant};
 use coil_ps::policy::Config;
 use coil_ps::render::Mesh;
 use coil_ps::train::compute::{Compute, Processor};
@@ -10,6 +10,7 @@ use coil_ps::train::fit::{Recipe, Report, Trainer};
 use coil_ps::train::formation::Scene;
 use coil_ps::train::loss::Measure;
 use coil_ps::train::{checkpoint, export, objects, plot, validate};
+use glam::Vec3;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -201,6 +202,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     };
     let compute = Compute::new(processor, threads)?;
     let meshes = trainer.recipe.meshes.as_deref().map(|dir| read_meshes(Path::new(dir))).transpose()?;
+    let reach = trainer.recipe.validated_reach();
     let (size, softness) = (trainer.recipe.resolution, trainer.recipe.softness);
     let pool = objects::Training::new(size, softness, meshes.unwrap_or_default())?
         .of_any_material(trainer.recipe.any_material);
@@ -214,7 +216,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
         trainer.recipe.steps
     );
     if trainer.step == 0 {
-        let baselines = baselines(&scenes, threads);
+        let baselines = baselines(&scenes, reach, threads);
         for (name, e) in &baselines {
             eprintln!("  {name:24} {:6.2} {:6.2} {:6.2}", e.0[0], e.0[1], e.0[2]);
         }
@@ -237,7 +239,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
         bar.inc(1);
         let due = trainer.step.is_multiple_of(args.validate_every) || trainer.done();
         if due {
-            let found = validate::policy(trainer.judged(), &scenes, trainer.recipe.blank, &compute);
+            let found = validate::policy(trainer.judged(), &scenes, reach, trainer.recipe.blank, &compute);
             let better = trainer.validated(found.degrees.last());
             let after = trainer.step;
             let [a, b, c] = found.degrees.0;
@@ -290,7 +292,13 @@ fn choose(
     let best = trainer.best.take().map(|best| best.0);
     for (name, weights) in [("best", best), ("last", Some(trainer.judged().clone()))] {
         let Some(weights) = weights else { continue };
-        let found = validate::policy(&weights, scenes, trainer.recipe.blank, compute);
+        let found = validate::policy(
+            &weights,
+            scenes,
+            trainer.recipe.validated_reach(),
+            trainer.recipe.blank,
+            compute,
+        );
         let [a, b, c] = found.degrees.0;
         eprintln!("{name}: T=3 {a:.2}, T=5 {b:.2}, T=10 {c:.2} degrees on {} objects", scenes.len());
         if trainer.best.as_ref().is_none_or(|(_, other)| found.degrees.last() < *other) {
@@ -404,20 +412,27 @@ fn begin_from(from: &Path, recipe: Recipe) -> anyhow::Result<Trainer> {
     Trainer::begin_with(weights, recipe).map_err(anyhow::Error::msg)
 }
 
-fn baselines(scenes: &[Box<dyn Scene>], threads: usize) -> Vec<(String, validate::Errors)> {
+fn baselines(scenes: &[Box<dyn Scene>], reach: f32, threads: usize) -> Vec<(String, validate::Errors)> {
+    let ring_and_vertical: Vec<Vec3> =
+        validate::ring_and_vertical(10).into_iter().map(|l| within(l, reach)).collect();
     let mut out = vec![
-        ("random".into(), validate::random(scenes, 8, 1, threads)),
-        ("dc05 ring + vertical".into(), validate::fixed(&validate::ring_and_vertical(10), scenes, threads)),
+        ("random".into(), validate::random(scenes, reach, 8, 1, threads)),
+        ("dc05 ring + vertical".into(), validate::fixed(&ring_and_vertical, scenes, threads)),
     ];
     for degrees in [5, 10, 15, 20, 25, 30, 35, 40, 45, 55] {
-        let lights = ring(10, (degrees as f32).to_radians(), 0.0);
-        out.push((format!("ring {degrees}"), validate::fixed(&lights, scenes, threads)));
+        let slant = (degrees as f32).to_radians();
+        if slant <= reach {
+            out.push((format!("ring {degrees}"), validate::fixed(&ring(10, slant, 0.0), scenes, threads)));
+        }
     }
-    out.push((
-        "oracle (100 candidates)".into(),
-        validate::oracle(scenes, &fibonacci_hemisphere(100), threads),
-    ));
+    let candidates = fibonacci_cap(100, reach);
+    out.push(("oracle (100 candidates)".into(), validate::oracle(scenes, &candidates, threads)));
     out
+}
+
+/// The light, not farther from the axis than `reach`.
+fn within(light: Vec3, reach: f32) -> Vec3 {
+    from_azimuth_slant(azimuth(light), slant(light).min(reach))
 }
 
 fn save_best(dir: &Path, trainer: &Trainer) -> anyhow::Result<()> {
