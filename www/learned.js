@@ -10,6 +10,7 @@
  * What only the second build has.
  * @typedef {object} PolicyModels
  * @property {(name: string, encoder: Uint8Array, step: Uint8Array) => void} add
+ * @property {(name: string, encoder: Uint8Array, step: Uint8Array) => void} addLimited
  * @property {(name: string, observations: Observations, lights: number) => Insight | undefined} insight
  *
  * @typedef {object} Insight
@@ -28,6 +29,9 @@ export const LEARNED = {
   "coil-blank": "compact-blank",
 };
 
+/** Folder of the network with which a planner plans where lights have a limited reach. @param {string} folder */
+const limited = folder => `${folder}-limited`;
+
 const MODULE = new URL("pkg/policy/coil_ps.js", import.meta.url);
 
 /** The trained planners that are loaded. */
@@ -41,7 +45,7 @@ export class Models {
   }
 
   /**
-   * Fetches a planner's two files, if that was not done.
+   * Fetches a planner's network, and that for a limited reach where there is one, if that was not done.
    * @param {string} name
    * @param {AbortSignal} signal
    * @param {(what: string) => void} progress
@@ -49,13 +53,20 @@ export class Models {
   async load(name, signal, progress) {
     if (this.#loaded.has(name)) return;
     progress(`fetching the network of ${name}`);
-    const [encoder, step] = await Promise.all(["encoder", "step"].map(async part => {
-      const reply = await fetch(new URL(`models/${LEARNED[name]}/${part}.onnx`, import.meta.url), { signal });
+    /** @param {string} folder */
+    const files = folder => Promise.all(["encoder", "step"].map(async part => {
+      const reply = await fetch(new URL(`models/${folder}/${part}.onnx`, import.meta.url), { signal });
       if (!reply.ok) throw new Error(`the trained network of ${name} is not there: ${part}.onnx, status ${reply.status}`);
       return new Uint8Array(await reply.arrayBuffer());
     }));
+    const folder = LEARNED[name];
+    const [[encoder, step], narrow] = await Promise.all([
+      files(folder),
+      networks(signal).then(models => models.includes(limited(folder)) ? files(limited(folder)) : null),
+    ]);
     progress(`loading the network of ${name}`);
     this.#models.add(name, encoder, step);
+    if (narrow) this.#models.addLimited(name, narrow[0], narrow[1]);
     this.#loaded.add(name);
   }
 
@@ -95,6 +106,13 @@ async function status(signal) {
   return reply.ok ? (await reply.json()).modules?.policy ?? null : null;
 }
 
+/** Folders of the trained networks that came with this page. @param {AbortSignal} [signal] @returns {Promise<string[]>} */
+async function networks(signal) {
+  const reply = await fetch(new URL("models/index.json", import.meta.url), { signal });
+  if (!reply.ok) throw new Error(`the list of trained networks is not there (status ${reply.status})`);
+  return (await reply.json()).models;
+}
+
 /**
  * The learned planners that can be offered: their module is there or on its way, and so is their network. Where ours is not,
  * `withheld` is a sentence that says why.
@@ -105,10 +123,7 @@ export async function learnedPlanners() {
     const policy = await status();
     if (policy === null) throw new Error("this page was built without the module for learned planners");
     if (policy.state === "failed") throw new Error(notBuilt(policy));
-    const reply = await fetch(new URL("models/index.json", import.meta.url));
-    if (!reply.ok) throw new Error(`the list of trained networks is not there (status ${reply.status})`);
-    /** @type {string[]} */
-    const models = (await reply.json()).models;
+    const models = await networks();
     if (!models.includes(LEARNED.coil)) throw new Error("its trained network is not there");
     return { names: Object.keys(LEARNED).filter(name => models.includes(LEARNED[name])), withheld: "" };
   } catch (error) {

@@ -272,8 +272,8 @@ pub trait Learned: Sync {
     /// The planner of a name, beginning with a light at `start`; `None` where no model of that name is loaded.
     fn planner(&self, name: &str, start: Vec3) -> Option<Box<dyn Planner>>;
 
-    /// Identity (hash) of the network behind the planner of a name, where there is one.
-    fn network(&self, _name: &str) -> Option<String> {
+    /// Identity (hash) of the network behind the planner of a name where lights are within `reach` (radians), if there is one.
+    fn network(&self, _name: &str, _reach: f32) -> Option<String> {
         None
     }
 }

@@ -13,12 +13,16 @@ const SMALLEST_REACH: f32 = 1e-3;
 
 type Plan = Arc<TypedRunnableModel>;
 
-/// A loaded policy.
+/// Lights that reach farther than this (radians, 80°) are taken for the whole hemisphere.
+pub const WHOLE: f32 = 80.0 / 180.0 * std::f32::consts::PI;
+
+/// A loaded policy: one network, or one for the whole hemisphere and another for a limited reach.
 #[derive(Clone)]
 pub struct Policy {
     header: Header,
     encoder: Plan,
     step: Plan,
+    limited: Option<Arc<Policy>>,
 }
 
 impl std::fmt::Debug for Policy {
@@ -40,7 +44,27 @@ impl Policy {
             tract_onnx::onnx().model_for_proto_model(proto)?.into_optimized()?.into_runnable()
         };
         let run = |e: TractError| ModelError::Run(root_cause(&e));
-        Ok(Self { header, encoder: plan(&encoder).map_err(run)?, step: plan(&step).map_err(run)? })
+        Ok(Self {
+            header,
+            encoder: plan(&encoder).map_err(run)?,
+            step: plan(&step).map_err(run)?,
+            limited: None,
+        })
+    }
+
+    /// The same with another network that plans where lights reach no farther than [`WHOLE`].
+    #[must_use]
+    pub fn with_limited(self, limited: Self) -> Self {
+        Self { limited: Some(Arc::new(limited)), ..self }
+    }
+
+    /// What plans within `reach` (radians).
+    #[must_use]
+    pub fn within(&self, reach: f32) -> &Self {
+        match &self.limited {
+            Some(limited) if reach <= WHOLE => limited,
+            _ => self,
+        }
     }
 
     /// Sizes of its network.
@@ -58,10 +82,11 @@ impl Policy {
     /// A new sequence: an object's mask, the largest slant of a light (radians), and how many pictures there will be.
     #[must_use]
     pub fn start(&self, mask: &Mask, reach: f32, lights: usize) -> Sequence {
-        let config = self.header.config.clone();
+        let network = self.within(reach);
+        let config = network.header.config.clone();
         let cache = if config.transformer { config.cache_shape().iter().product() } else { 0 };
         Sequence {
-            policy: self.clone(),
+            policy: network.clone(),
             crop: Crop::new(mask, config.input),
             pixels: mask.len(),
             reach: (reach / FRAC_PI_2).clamp(SMALLEST_REACH, 1.0),

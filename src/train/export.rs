@@ -501,6 +501,22 @@ mod tests {
     }
 
     #[test]
+    fn another_network_plans_within_a_limited_reach() {
+        let [one, other, ..] = networks().map(|w| Policy::load(&export(&w, "")).unwrap());
+        let both = one.clone().with_limited(other.clone());
+        let mask = Mask::full(9, 9).unwrap();
+        let next = |policy: &Policy, degrees: f32| {
+            policy.start(&mask, degrees.to_radians(), 10).observe(&[[0.5; 3]; 81], Vec3::Z).unwrap()
+        };
+        for (reach, same, not) in [(90.0, &one, &other), (81.0, &one, &other), (79.0, &other, &one)] {
+            assert_eq!(next(&both, reach), next(same, reach), "{reach}");
+            assert_ne!(next(&both, reach), next(not, reach), "{reach}");
+            assert_eq!(both.within(f32::to_radians(reach)).config(), same.config());
+        }
+        assert_eq!(next(&one, 40.0), next(one.within(0.7), 40.0));
+    }
+
+    #[test]
     fn unusable_files_are_named() {
         let [other, .., weights] = networks();
         let files = export(&weights, "");

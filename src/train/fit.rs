@@ -96,7 +96,7 @@ fn fourth() -> usize {
 const SHORTEST_REACH: f32 = 25.0 * PI / 180.0;
 /// Largest reach of the finite light sets, radians (65°).
 const LONGEST_STAGE: f32 = 65.0 * PI / 180.0;
-/// Reach in the validation of policies for limited reach, radians (45°).
+/// Reach in the validation of policies for limited reach, radians (45°): the middle of what they are trained for.
 const LIMITED_VALIDATION: f32 = 45.0 * PI / 180.0;
 /// Makes the numbers of pictures of the updates independent of what else is drawn.
 const LENGTHS: u64 = 0x6c65_6e67;
@@ -214,11 +214,16 @@ impl Recipe {
         }
     }
 
-    /// Largest slant of the lights in validation, radians: of a policy that is trained for limited reach alone, the middle of what
-    /// it is trained for.
+    /// Whether the policy is trained for a limited reach alone. It is then validated so too.
+    #[must_use]
+    pub fn limited(&self) -> bool {
+        self.whole_dome <= 0.0
+    }
+
+    /// Largest slant of the lights in validation, radians.
     #[must_use]
     pub fn validated_reach(&self) -> f32 {
-        if self.whole_dome > 0.0 { FRAC_PI_2 } else { LIMITED_VALIDATION }
+        if self.limited() { LIMITED_VALIDATION } else { FRAC_PI_2 }
     }
 
     fn rate_at(&self, step: u64) -> f32 {

@@ -77,6 +77,8 @@ const COLLIMATED: f32 = 0.3;
 const NEAREST: f32 = 0.15;
 /// Seed of the angles by which varied objects are turned.
 const ROLL: u64 = 0x726f_6c6c;
+/// Seed of the rigs that see varied validation objects.
+const RIGS: u64 = 0x7269_6773;
 /// One in so many training objects is a mesh, if there are any.
 const MESH_EVERY: usize = 4;
 /// Azimuths of the training objects' horizon maps: what soft shadows need, in half the memory of the test's.
@@ -103,14 +105,9 @@ impl Training {
         Self { any_material, ..self }
     }
 
-    fn object(&self, index: usize, rolled: bool) -> Object {
+    fn object(&self, index: usize, turned: bool) -> Object {
         let object = self.upright(index);
-        if !rolled {
-            return object;
-        }
-        let (sin, cos) = libm::sincosf(Rng::stream(ROLL, index as u64).range(0.0, std::f32::consts::TAU));
-        let roll = Mat3::from_cols(Vec3::new(cos, sin, 0.0), Vec3::new(-sin, cos, 0.0), Vec3::Z);
-        Object { rotation: roll * object.rotation, ..object }
+        if turned { rolled(object, index) } else { object }
     }
 
     fn upright(&self, index: usize) -> Object {
@@ -161,8 +158,16 @@ impl Pool for Training {
     }
 }
 
+/// Turns object number `index` about the optical axis.
+fn rolled(object: Object, index: usize) -> Object {
+    let (sin, cos) = libm::sincosf(Rng::stream(ROLL, index as u64).range(0.0, std::f32::consts::TAU));
+    let roll = Mat3::from_cols(Vec3::new(cos, sin, 0.0), Vec3::new(-sin, cos, 0.0), Vec3::Z);
+    Object { rotation: roll * object.rotation, ..object }
+}
+
 /// Validation objects, with one bounce of light and hard shadows: the first ones of `worlds`; with meshes these in turn, each
-/// time in another pose and with another finish of the validation materials.
+/// time in another pose and with another finish of the validation materials. Varied ones are turned, and seen by rigs of any
+/// quality, as in training.
 ///
 /// # Errors
 /// A mesh that can't be rendered.
@@ -170,6 +175,7 @@ pub fn validation(
     meshes: &[(String, Mesh)],
     count: usize,
     size: u32,
+    varied: bool,
 ) -> Result<Vec<Box<dyn Scene>>, RenderError> {
     let options = Options { size, softness: 0.0, ..Options::default() };
     (0..count)
@@ -182,7 +188,14 @@ pub fn validation(
                     Object::dressed(name, Shape::Mesh(mesh.clone()), worlds::Split::Validation, rng)
                 }
             };
-            Ok(Box::new(Real::new(object.scene(&options)?, Tolerances::RIG, i as u64)) as Box<dyn Scene>)
+            let (object, rig) = match varied {
+                true => {
+                    let rig = Tolerances::any(&mut Rng::stream(RIGS, i as u64), COLLIMATED, NEAREST);
+                    (rolled(object, i), rig)
+                }
+                false => (object, Tolerances::RIG),
+            };
+            Ok(Box::new(Real::new(object.scene(&options)?, rig, i as u64)) as Box<dyn Scene>)
         })
         .collect()
 }
@@ -195,12 +208,12 @@ mod tests {
     fn meshes_are_validated_on_in_turn_each_time_otherwise() {
         let tent = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nv 0 0 1\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\n";
         let mesh = |name: &str| (name.to_owned(), Mesh::from_bytes("tent.obj", tent.as_bytes()).unwrap());
-        let scenes = validation(&[mesh("a"), mesh("b")], 3, 24).unwrap();
+        let scenes = validation(&[mesh("a"), mesh("b")], 3, 24, false).unwrap();
         let seen: Vec<_> = scenes.iter().map(|s| s.image(Vec3::Z)).collect();
         assert!(seen[0] != seen[2] && seen[0] != seen[1]);
         assert_eq!(
-            validation(&[], 1, 24).unwrap()[0].image(Vec3::Z),
-            validation(&[], 2, 24).unwrap()[0].image(Vec3::Z)
+            validation(&[], 1, 24, false).unwrap()[0].image(Vec3::Z),
+            validation(&[], 2, 24, false).unwrap()[0].image(Vec3::Z)
         );
     }
 

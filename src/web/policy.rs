@@ -117,8 +117,8 @@ impl Learned for Policies {
         })
     }
 
-    fn network(&self, name: &str) -> Option<String> {
-        Some(self.0.get(name)?.header().network.clone())
+    fn network(&self, name: &str, reach: f32) -> Option<String> {
+        Some(self.0.get(name)?.within(reach).header().network.clone())
     }
 }
 
@@ -141,6 +141,16 @@ impl Models {
     pub fn add(&mut self, name: String, encoder: Vec<u8>, step: Vec<u8>) -> Result<(), JsError> {
         let policy = policy::Policy::load(&policy::ModelFiles { encoder, step }).map_err(fail)?;
         Rc::make_mut(&mut self.0).0.insert(name, policy);
+        Ok(())
+    }
+
+    /// Loads the network with which the planner `name`, which is loaded, plans where lights have a limited reach.
+    #[wasm_bindgen(js_name = addLimited)]
+    pub fn add_limited(&mut self, name: &str, encoder: Vec<u8>, step: Vec<u8>) -> Result<(), JsError> {
+        let limited = policy::Policy::load(&policy::ModelFiles { encoder, step }).map_err(fail)?;
+        let policies = Rc::make_mut(&mut self.0);
+        let whole = policies.0.get_mut(name).ok_or_else(|| fail(format!("'{name}' is not loaded")))?;
+        *whole = whole.clone().with_limited(limited);
         Ok(())
     }
 

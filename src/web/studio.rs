@@ -503,7 +503,7 @@ impl Rig {
                 let mut record =
                     Record::new(&wanted.object, &wanted.planner, seed, wanted.lights, self.arm.clone());
                 record.camera = wanted.view().map_or_else(|| "frames of the page".into(), |v| v.to_string());
-                record.model = self.learned.and_then(|l| l.network(&wanted.planner));
+                record.model = self.learned.and_then(|l| l.network(&wanted.planner, reach));
                 record.brightness = Some(wanted.brightness);
                 record.reach = Some(wanted.reach);
                 record.nearby = wanted.nearby;

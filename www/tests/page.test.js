@@ -409,7 +409,11 @@ test("the learned planner runs in the page and shows its gate and its speed", as
     return t.skip("the policy's module is not there");
   }
   await withPage(QUICK.replace("random,dc05v", "coil"), async page => {
+    /** @type {string[]} */
+    const fetched = [];
+    page.on("request", request => void fetched.push(new URL(request.url()).pathname));
     await tableDone(page, 120_000);
+    for (const network of ["compact", "compact-limited"]) assert.ok(fetched.includes(`/models/${network}/step.onnx`), network);
     const [row] = await table(page);
     assert.equal(row[0], "COIL-PS");
     assert.match(row[2], /^\d+\.\d\d°$/);

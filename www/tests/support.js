@@ -24,7 +24,7 @@ export async function servePage() {
   const status = { modules: { core: { state: "ready" }, policy: { state: policy ? "ready" : "failed", message: "not built" } } };
   const server = createServer(async (request, response) => {
     if (request.url?.startsWith("/build-status.json")) return void response.writeHead(200, { "Content-Type": "application/json" }).end(JSON.stringify(status));
-    if (request.url === "/models/index.json") return void response.writeHead(200, { "Content-Type": "application/json" }).end('{"models":["compact"]}');
+    if (request.url === "/models/index.json") return void response.writeHead(200, { "Content-Type": "application/json" }).end('{"models":["compact","compact-limited"]}');
     const path = normalize(decodeURIComponent(new URL(request.url ?? "/", "http://localhost").pathname)).replace(/\/$/, "/index.html");
     for (const folder of path.startsWith("/models/") ? [ROOT] : SERVED) {
       const file = join(folder, path);

@@ -500,7 +500,7 @@ fn capture(args: &Args, mut source: Source, mask: Option<Mask>) -> anyhow::Resul
         }
         Source::Folder { .. } => args.camera.clone(),
     };
-    capture.record_mut().model = setup.learned.and_then(|l| l.network(&args.planner));
+    capture.record_mut().model = setup.learned.and_then(|l| l.network(&args.planner, reach));
     capture.record_mut().brightness = Some(args.brightness);
     capture.record_mut().reach = Some(args.reach);
     capture.record_mut().nearby = args.nearby;

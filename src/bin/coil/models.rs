@@ -8,7 +8,8 @@ use {
     std::collections::BTreeMap, std::path::PathBuf,
 };
 
-/// Planner name, and the folder of its two files under `models`.
+/// Planner name, and the folder of its two files under `models`. Beside it, where there is one, is the folder of the network for
+/// limited reach, its name with [`LIMITED`].
 #[cfg(feature = "policy")]
 const FOLDERS: [(&str, &str); 4] = [
     ("coil", "compact"),
@@ -16,6 +17,10 @@ const FOLDERS: [(&str, &str); 4] = [
     ("coil-no-transformer", "compact-no-transformer"),
     ("coil-blank", "compact-blank"),
 ];
+
+/// What the folder's name of a network for limited reach ends with.
+#[cfg(feature = "policy")]
+const LIMITED: &str = "-limited";
 
 /// The option that says where the models are.
 #[derive(clap::Args)]
@@ -42,9 +47,17 @@ impl Folder {
     pub fn load(&self, planners: &[String]) -> anyhow::Result<Models> {
         let mut policies = BTreeMap::new();
         for (name, folder) in FOLDERS.iter().filter(|(name, _)| planners.iter().any(|p| p == name)) {
-            let folder = self.models.join(folder);
-            let policy =
-                Policy::load(&model::read(&folder)?).with_context(|| folder.display().to_string())?;
+            let load = |folder: &str| {
+                let folder = self.models.join(folder);
+                let files = model::read(&folder)?;
+                Policy::load(&files).with_context(|| folder.display().to_string())
+            };
+            let limited = format!("{folder}{LIMITED}");
+            let policy = load(folder)?;
+            let policy = match self.models.join(&limited).is_dir() {
+                true => policy.with_limited(load(&limited)?),
+                false => policy,
+            };
             policies.insert(*name, policy);
         }
         Ok(Models { policies })
@@ -68,8 +81,8 @@ impl Learned for Models {
         })
     }
 
-    fn network(&self, name: &str) -> Option<String> {
-        Some(self.policies.get(name)?.header().network.clone())
+    fn network(&self, name: &str, reach: f32) -> Option<String> {
+        Some(self.policies.get(name)?.within(reach).header().network.clone())
     }
 }
 

@@ -207,7 +207,8 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let pool = objects::Training::new(size, softness, meshes.unwrap_or_default())?
         .of_any_material(trainer.recipe.any_material);
     let meshes = args.validation_meshes.as_deref().map(read_meshes).transpose()?.unwrap_or_default();
-    let scenes = objects::validation(&meshes, args.validation_objects, trainer.recipe.resolution)?;
+    let varied = trainer.recipe.varied && trainer.recipe.limited();
+    let scenes = objects::validation(&meshes, args.validation_objects, size, varied)?;
     eprintln!(
         "{} weights, {} validation objects, {} of {} updates made",
         trainer.weights.count(),
