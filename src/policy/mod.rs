@@ -9,4 +9,4 @@ mod runtime;
 
 pub use config::Config;
 pub use file::{Header, ModelError, ModelFiles};
-pub use runtime::{Policy, Sequence};
+pub use runtime::{Policy, Sequence, WHOLE};
