@@ -13,8 +13,8 @@ const SMALLEST_REACH: f32 = 1e-3;
 
 type Plan = Arc<TypedRunnableModel>;
 
-/// Lights that reach farther than this (radians, 75°) are taken for the whole hemisphere.
-pub const WHOLE: f32 = 75.0 / 180.0 * std::f32::consts::PI;
+/// Lights that reach farther than this (radians, 86°) are taken for the whole hemisphere.
+pub const WHOLE: f32 = 86.0 / 180.0 * std::f32::consts::PI;
 
 /// A loaded policy: one network, or one for the whole hemisphere and another for a limited reach.
 #[derive(Clone)]

@@ -508,7 +508,7 @@ mod tests {
         let next = |policy: &Policy, degrees: f32| {
             policy.start(&mask, degrees.to_radians(), 10).observe(&[[0.5; 3]; 81], Vec3::Z).unwrap()
         };
-        for (reach, same, not) in [(90.0, &one, &other), (76.0, &one, &other), (74.0, &other, &one)] {
+        for (reach, same, not) in [(90.0, &one, &other), (87.0, &one, &other), (85.0, &other, &one)] {
             assert_eq!(next(&both, reach), next(same, reach), "{reach}");
             assert_ne!(next(&both, reach), next(not, reach), "{reach}");
             assert_eq!(both.within(f32::to_radians(reach)).config(), same.config());
