@@ -51,7 +51,7 @@ pub struct Recipe {
     /// Whether the rate falls to zero along a cosine.
     pub cosine: bool,
     /// Share of the old in the running average of the weights that is validated and shipped, each update; 0: the weights themselves.
-    /// One update's gradient is mostly noise: at a rate of 3e-4 the weights' own validation error goes up and down by a degree.
+    /// One update's gradient is mostly noise: at a rate of 3e-4 the weights' own validation error goes up and down by half a degree.
     #[serde(default)]
     pub averaging: f32,
     /// Updates over which the rate rises at the start.
