@@ -3,17 +3,18 @@
 use super::fit::{in_parallel, light_count};
 use super::tune::rank_correlation;
 use super::{Generator, Pixels};
-use crate::camera::Camera as _;
+use crate::camera::{Camera, Domain};
 use crate::error::unit_angle;
-use crate::planner::fixed::dc05_ring_and_vertical;
+use crate::planner::{self, Learned, Setup};
 use crate::render::worlds::{self, Split};
 use crate::render::{Options, SceneCamera, Tolerances};
 use crate::rng::Rng;
+use crate::session::{Session, Step};
 use crate::solve::expectation::{CUES, Judge, Layers, PARTS, Row, WEIGHTS, WIDTH, cues};
 use crate::solve::tiles::Piece;
 use crate::solve::{Measurements, SolveError, Solver};
 use glam::Vec3;
-use std::f32::consts::{FRAC_PI_2, TAU};
+use std::f32::consts::FRAC_PI_2;
 
 /// A solved pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,6 +30,9 @@ const PIXELS: usize = 48;
 /// Share of the rendered objects that are of validation materials: solvers that were trained or tuned on the training
 /// materials do better there than on others.
 const VALIDATION_SHARE: f32 = 0.4;
+/// Share of the rendered objects that are of any material that scatters light in any way: the measured ones' diffuse light
+/// is Lambert's, by their model.
+const ANY_SHARE: f32 = 0.5;
 /// The first validation objects are left to be looked at.
 const FIRST_VALIDATION: usize = 1000;
 /// Share of the rigs whose light is collimated, and half width of the object in units of the nearest light's distance.
@@ -37,14 +41,22 @@ const NEAREST: f32 = 0.08;
 /// Smallest error, degrees: rounding is nothing to learn from.
 const LEAST: f32 = 0.02;
 
-/// Rendered pixels of `objects` worlds of training and validation under random lights, ring and vertical, and the generator's sets, seen
-/// by rigs good and bad; and half as many light sets of synthetic pixels.
+/// Planners whose lights the pictures of an object are taken under beside random ones: an adaptive planner leaves errors that no fixed set
+/// leaves. [`LEARNED`] twice, over the whole hemisphere and within a limited reach.
+const PLANNED: [&str; 4] = ["dc05", "tk22", "lipids", "ring"];
+/// The learned planner.
+const LEARNED: &str = "coil";
+/// Smallest reach of the lights of an object, radians (25°).
+const SHORTEST_REACH: f32 = 25.0 / 180.0 * std::f32::consts::PI;
+
+/// Rendered pixels of `objects` worlds of training and validation under random lights, those of planners, and the generator's sets, seen
+/// by rigs good and bad; and a third as many light sets of synthetic pixels.
 ///
 /// # Errors
 /// Why the first object that can't be rendered can't.
-pub fn pixels(objects: usize, size: u32) -> Result<Vec<Pixels>, String> {
+pub fn pixels(objects: usize, size: u32, learned: &dyn Learned) -> Result<Vec<Pixels>, String> {
     let generator = Generator::new(Split::Train);
-    let of_objects = in_parallel(objects, |number| rendered(&generator, number, size));
+    let of_objects = in_parallel(objects, |number| rendered(&generator, number, size, learned));
     let mut all: Vec<Pixels> = of_objects.into_iter().collect::<Result<Vec<_>, _>>()?.concat();
     for set in 0..3 * objects {
         let mut rng = Rng::stream(0x657870, set as u64);
@@ -55,20 +67,41 @@ pub fn pixels(objects: usize, size: u32) -> Result<Vec<Pixels>, String> {
     Ok(all)
 }
 
-fn rendered(generator: &Generator, number: usize, size: u32) -> Result<Vec<Pixels>, String> {
+fn rendered(
+    generator: &Generator,
+    number: usize,
+    size: u32,
+    learned: &dyn Learned,
+) -> Result<Vec<Pixels>, String> {
     let mut rng = Rng::stream(0x6a7564, number as u64);
     let validation = rng.uniform() < VALIDATION_SHARE;
-    let object = if validation {
+    let mut object = if validation {
         worlds::validation(1, FIRST_VALIDATION + number)
     } else {
         worlds::training(1, number)
     };
+    if rng.uniform() < ANY_SHARE {
+        let split = if validation { Split::Validation } else { Split::Train };
+        object.finish = worlds::any_diffusing_finish(split, &mut rng);
+    }
     let scene =
         object.scene(&Options { size, ..Options::default() }).map_err(|e| format!("{}: {e}", object.name))?;
     let camera = SceneCamera::real(&scene, Tolerances::any(&mut rng, COLLIMATED, NEAREST), number as u64);
     let truth = scene.truth();
     let mut sets = vec![random(&mut rng, 10), random(&mut rng, 10)];
-    sets.push(dc05_ring_and_vertical(10, rng.range(0.0, TAU)).map_err(|e| e.to_string())?);
+    let reach = rng.range(SHORTEST_REACH, FRAC_PI_2);
+    let name = match PLANNED[rng.below(PLANNED.len())] {
+        "ring" => format!("ring:{}", 10 + rng.below(50)),
+        name => name.to_owned(),
+    };
+    for (name, count, reach) in [
+        ("dc05v", 10, FRAC_PI_2),
+        (&name, 10, FRAC_PI_2),
+        (LEARNED, 10, FRAC_PI_2),
+        (LEARNED, 3 + rng.below(8), reach),
+    ] {
+        sets.push(planned(&camera, name, count, reach, rng.next_u64(), learned)?);
+    }
     for count in [10, light_count(&mut rng), light_count(&mut rng)] {
         sets.push(generator.lights(&mut rng, count));
     }
@@ -84,6 +117,26 @@ fn rendered(generator: &Generator, number: usize, size: u32) -> Result<Vec<Pixel
         out.push(Pixels { lights: whole.lights, images, normals, saturation: None });
     }
     Ok(out)
+}
+
+/// The lights that a planner asks for, of slants up to `reach` (radians).
+fn planned(
+    camera: &dyn Camera,
+    name: &str,
+    lights: usize,
+    reach: f32,
+    seed: u64,
+    learned: &dyn Learned,
+) -> Result<Vec<Vec3>, String> {
+    let setup = Setup { lights, seed, draw: 1, camera: Some(camera), truth: None, learned: Some(learned) };
+    let failed = |e: &dyn std::fmt::Display| format!("{name}: {e}");
+    let planner = planner::build(name, &setup).map_err(|e| failed(&e))?;
+    let mut session = Session::new(camera.mask().clone(), Domain::Hemisphere { reach }, planner, lights);
+    while let Step::Capture(direction) = session.step().map_err(|e| failed(&e))? {
+        let picture = camera.capture(direction, session.seen()).map_err(|e| failed(&e))?;
+        session.observe(picture).map_err(|e| failed(&e))?;
+    }
+    Ok(session.seen().iter().map(|o| o.light).collect())
 }
 
 /// Lights anywhere on the hemisphere.
@@ -222,27 +275,42 @@ fn slope(y: f32) -> f32 {
 /// Whole objects, each under one light set.
 pub type Objects = Vec<Pixels>;
 
-/// Validation objects that nothing is fitted to, seen by [`Tolerances::RIG`] with ten lights: random, ring and vertical.
+/// Validation objects that nothing is fitted to, seen by [`Tolerances::RIG`] with ten lights: random, ring and vertical,
+/// those of the learned planner.
 ///
 /// # Errors
 /// Why the first object that can't be rendered can't.
-pub fn checks(objects: usize, size: u32) -> Result<[(&'static str, Objects); 2], String> {
-    let both = in_parallel(objects, |number| {
+pub fn checks(
+    objects: usize,
+    size: u32,
+    learned: &dyn Learned,
+) -> Result<Vec<(&'static str, Objects)>, String> {
+    let all = in_parallel(objects, |number| {
         let object = worlds::validation(1, number);
         let scene = object.scene(&Options { size, ..Options::default() }).map_err(|e| e.to_string())?;
         let camera = SceneCamera::real(&scene, Tolerances::RIG, 1);
-        let mut rng = Rng::stream(0x636865, number as u64);
-        let ring = dc05_ring_and_vertical(10, rng.range(0.0, TAU)).map_err(|e| e.to_string())?;
-        let see = |lights: Vec<Vec3>| {
-            let take = |&l: &Vec3| camera.capture(l, &[]).map(|o| o.grey).map_err(|e| e.to_string());
-            let images = lights.iter().map(take).collect::<Result<_, String>>()?;
-            Ok::<_, String>(Pixels { lights, images, normals: scene.truth().to_vec(), saturation: None })
-        };
-        Ok((see(random(&mut rng, 10))?, see(ring)?))
+        CHECKED
+            .iter()
+            .map(|&(_, name)| {
+                let lights = planned(&camera, name, 10, FRAC_PI_2, number as u64, learned)?;
+                let take = |&l: &Vec3| camera.capture(l, &[]).map(|o| o.grey).map_err(|e| e.to_string());
+                let images = lights.iter().map(take).collect::<Result<_, String>>()?;
+                Ok(Pixels { lights, images, normals: scene.truth().to_vec(), saturation: None })
+            })
+            .collect::<Result<Vec<_>, String>>()
     });
-    let (random, ring) = both.into_iter().collect::<Result<Vec<_>, String>>()?.into_iter().unzip();
-    Ok([("random", random), ("ring + vertical", ring)])
+    let mut sets: Vec<(&'static str, Objects)> =
+        CHECKED.iter().map(|&(title, _)| (title, Vec::new())).collect();
+    for object in all {
+        for ((_, set), pixels) in sets.iter_mut().zip(object?) {
+            set.push(pixels);
+        }
+    }
+    Ok(sets)
 }
+
+/// Titles and planners of the light sets that are looked at.
+const CHECKED: [(&str, &str); 3] = [("random", "random"), ("ring + vertical", "dc05v"), ("COIL-PS", LEARNED)];
 
 /// How well errors are expected on some objects.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,6 +1,6 @@
 //! `coil tune`: the robust solvers' parameters and every solver's expected errors, from synthetic pixels.
 
-use crate::output;
+use crate::{models, output};
 use coil_ps::pixels::tune::{Score, bench, score};
 use coil_ps::pixels::{Generator, expectation};
 use coil_ps::render::worlds::Split;
@@ -24,6 +24,8 @@ pub struct Args {
     /// Instead fit what errors to expect of every solver, and write the weights to FILE (models/expected-error.json).
     #[arg(long, value_name = "FILE")]
     uncertainty: Option<PathBuf>,
+    #[command(flatten)]
+    models: models::Folder,
     /// Rendered objects that this is fitted to.
     #[arg(long, default_value_t = 800)]
     objects: usize,
@@ -71,8 +73,9 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
 /// Fits the expected errors of all solvers, writes them, and prints how they do on objects they were not fitted to.
 fn fit_expected(args: &Args, out: &Path) -> anyhow::Result<ExitCode> {
     let seconds = Instant::now();
-    let pixels = expectation::pixels(args.objects, args.size).map_err(anyhow::Error::msg)?;
-    let checks = expectation::checks(args.checks, args.size).map_err(anyhow::Error::msg)?;
+    let models = args.models.load(&["coil".to_owned()])?;
+    let pixels = expectation::pixels(args.objects, args.size, &models).map_err(anyhow::Error::msg)?;
+    let checks = expectation::checks(args.checks, args.size, &models).map_err(anyhow::Error::msg)?;
     eprintln!("rendered after {:.0} s", seconds.elapsed().as_secs_f64());
     println!(
         "on {} validation objects seen by the rig, T = 10: mean error, mean expected, objects within 2°, median rank correlation",
