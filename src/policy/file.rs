@@ -1,6 +1,6 @@
 //! Model files: two ONNX graphs of one network, and what their metadata must say before they are run.
 
-use super::config::{Config, FORMAT};
+use super::config::{Config, FORMAT, OLDEST_FORMAT};
 use tract_onnx::pb;
 use tract_onnx::prelude::*;
 
@@ -29,6 +29,8 @@ pub struct ModelFiles {
 /// What a model file says of itself.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Header {
+    /// Version of the file's format.
+    pub format: u32,
     /// Sizes of the network.
     pub config: Config,
     /// Identity of the trained network (16 hexadecimal digits).
@@ -66,7 +68,7 @@ pub enum ModelError {
     },
     /// Another version of the format.
     #[error(
-        "{part}: model format {found}, this build reads format {FORMAT}: use the models of the same release"
+        "{part}: model format {found}, this build reads formats {OLDEST_FORMAT} to {FORMAT}: use the models of the same release"
     )]
     Version {
         /// `encoder` or `step`.
@@ -106,7 +108,7 @@ pub fn fingerprint(bytes: impl IntoIterator<Item = u8>) -> u64 {
 }
 
 /// Reads a part and checks what it says of itself.
-pub(super) fn read(part: &'static str, bytes: &[u8]) -> Result<(pb::ModelProto, Header), ModelError> {
+pub(crate) fn read(part: &'static str, bytes: &[u8]) -> Result<(pb::ModelProto, Header), ModelError> {
     let damaged = |detail: String| ModelError::Damaged { part, detail };
     let proto =
         tract_onnx::onnx().proto_model_for_read(&mut &bytes[..]).map_err(|e| damaged(root_cause(&e)))?;
@@ -120,9 +122,10 @@ pub(super) fn read(part: &'static str, bytes: &[u8]) -> Result<(pb::ModelProto, 
         })
     };
     let format = needed(KEY_FORMAT, &FORMAT.to_string())?;
-    if format != FORMAT.to_string() {
-        return Err(ModelError::Version { part, found: format });
-    }
+    let format = match format.parse() {
+        Ok(known) if (OLDEST_FORMAT..=FORMAT).contains(&known) => known,
+        _ => return Err(ModelError::Version { part, found: format }),
+    };
     let found = needed(KEY_PART, part)?;
     if found != part {
         return Err(ModelError::Foreign { part, key: KEY_PART, found, expected: part.into() });
@@ -138,6 +141,7 @@ pub(super) fn read(part: &'static str, bytes: &[u8]) -> Result<(pb::ModelProto, 
     }
     let values = constants.iter().map(|t| t.dims.iter().product::<i64>().max(0) as usize).sum();
     let header = Header {
+        format,
         config,
         network: needed(KEY_NETWORK, "an identity")?,
         note: entry(KEY_NOTE).unwrap_or_default(),
@@ -157,7 +161,7 @@ pub fn headers(files: &ModelFiles) -> Result<(Header, Header), ModelError> {
     Ok((encoder, step))
 }
 
-pub(super) fn pair(encoder: &Header, step: &Header) -> Result<(), ModelError> {
+pub(crate) fn pair(encoder: &Header, step: &Header) -> Result<(), ModelError> {
     if encoder.network == step.network && encoder.config == step.config {
         Ok(())
     } else {

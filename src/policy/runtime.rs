@@ -2,7 +2,7 @@
 
 use super::config::Config;
 use super::file::{self, Header, ModelError, ModelFiles, root_cause};
-use super::frame::{Crop, white};
+use super::frame::Frames;
 use crate::stack::Mask;
 use glam::Vec3;
 use std::f32::consts::FRAC_PI_2;
@@ -87,14 +87,14 @@ impl Policy {
         let cache = if config.transformer { config.cache_shape().iter().product() } else { 0 };
         Sequence {
             policy: network.clone(),
-            crop: Crop::new(mask, config.input),
+            frames: Frames::new(mask, &config),
             pixels: mask.len(),
             reach: (reach / FRAC_PI_2).clamp(SMALLEST_REACH, 1.0),
             told: config.told(lights),
-            white: None,
             position: 0,
             keys: vec![0.0; cache],
             values: vec![0.0; cache],
+            frame: Vec::new(),
             gate: None,
         }
     }
@@ -104,15 +104,16 @@ impl Policy {
 #[derive(Clone, Debug)]
 pub struct Sequence {
     policy: Policy,
-    crop: Crop,
+    frames: Frames,
     pixels: usize,
     reach: f32,
     /// Number of pictures that the policy is told.
     told: usize,
-    white: Option<f32>,
     position: usize,
     keys: Vec<f32>,
     values: Vec<f32>,
+    /// The newest frame, as the network takes it.
+    frame: Vec<f32>,
     gate: Option<Vec<f32>>,
 }
 
@@ -140,11 +141,16 @@ impl Sequence {
                 config.max_frames
             )));
         }
-        let white = *self.white.get_or_insert_with(|| white(rgb));
-        let frame = self.crop.frame(rgb, white);
-        let direction =
-            self.forward(&config, frame, light.normalize()).map_err(|e| ModelError::Run(root_cause(&e)))?;
+        let light = light.normalize();
+        self.frame = self.frames.next(rgb, light);
+        let direction = self.forward(&config, light).map_err(|e| ModelError::Run(root_cause(&e)))?;
         direction.try_normalize().ok_or_else(|| ModelError::Run("the network gave no direction".into()))
+    }
+
+    /// The newest frame as the network took it, `[`[`Config::frame_channels`]`, input, input]`; empty before the first picture.
+    #[must_use]
+    pub fn frame(&self) -> &[f32] {
+        &self.frame
     }
 
     /// The gate of the newest picture, `input × input`, 1 where a pixel is trusted; `None` before the first picture and for
@@ -157,7 +163,7 @@ impl Sequence {
     /// [`gate`](Self::gate) at every mask pixel.
     #[must_use]
     pub fn trust(&self) -> Option<Vec<f32>> {
-        Some(self.crop.spread(self.gate.as_ref()?, self.pixels))
+        Some(self.frames.crop.spread(self.gate.as_ref()?, self.pixels))
     }
 
     /// Pictures taken in.
@@ -166,9 +172,9 @@ impl Sequence {
         self.position
     }
 
-    fn forward(&mut self, config: &Config, frame: Vec<f32>, light: Vec3) -> TractResult<Vec3> {
+    fn forward(&mut self, config: &Config, light: Vec3) -> TractResult<Vec3> {
         let s = config.input;
-        let frame = Tensor::from_shape(&[1, 3, s, s], &frame)?;
+        let frame = Tensor::from_shape(&[1, config.frame_channels(), s, s], &self.frame)?;
         let encoded = self.policy.encoder.run(tvec!(frame.into()))?;
         let mut inputs = tvec!(
             encoded[0].clone(),

@@ -22,7 +22,7 @@ pub fn export(weights: &Weights, note: &str) -> ModelFiles {
     let identity = format!("{:016x}", file::fingerprint(identity));
 
     let mut o = Exporter::new("coil_encoder", &folded);
-    let frame = o.graph.input("frame", &[1, 3, s, s]);
+    let frame = o.graph.input("frame", &[1, config.frame_channels(), s, s]);
     let (features, gate) = encode_frame(&mut o, config, frame);
     o.graph.output("features", &features);
     if let Some(gate) = gate {
@@ -231,8 +231,8 @@ impl Ops for Exporter<'_> {
         self.graph.concat(&[&a, &b], 1)
     }
 
-    fn first_channels(&mut self, x: Value, count: usize) -> Value {
-        self.graph.slice(&x, 1, 0, count)
+    fn channels(&mut self, x: Value, first: usize, count: usize) -> Value {
+        self.graph.slice(&x, 1, first, count)
     }
 
     fn centred(&mut self, x: Value) -> Value {
@@ -420,18 +420,20 @@ impl Ops for Exporter<'_> {
 mod tests {
     use super::super::tape::{Network, tensor, values};
     use super::*;
-    use crate::policy::frame::{Crop, white};
+    use crate::policy::frame::Frames;
     use crate::policy::{Config, ModelError, Policy};
     use crate::rng::Rng;
     use crate::stack::Mask;
+    use crate::train::import::import;
     use burn::tensor::Device;
     use glam::Vec3;
 
-    fn networks() -> [Weights; 4] {
+    fn networks() -> [Weights; 5] {
         let c = Config::compact();
         let mut all = [
             c.clone(),
             Config { horizon: 10, ..c.clone() },
+            Config { estimate: true, ..c.clone() },
             Config { gating: false, ..c.clone() },
             Config { transformer: false, ..c },
         ]
@@ -455,17 +457,16 @@ mod tests {
             let reach = 1.1f32;
             let mut run = policy.start(&mask, reach, 7);
             let mut sequence = net.start(7);
-            let crop = Crop::new(&mask, weights.config.input);
+            let mut frames = Frames::new(&mask, &weights.config);
             let mut rng = Rng::new(7);
             let mut light = Vec3::Z;
-            let mut scale = None;
             for t in 1..=10 {
                 let rgb: Vec<[f32; 3]> =
                     (0..mask.len()).map(|_| [rng.uniform(), rng.uniform(), rng.uniform()]).collect();
-                let frame = crop.frame(&rgb, *scale.get_or_insert_with(|| white(&rgb)));
+                let frame = frames.next(&rgb, light);
                 let s = weights.config.input;
                 let expected = values(sequence.step(
-                    tensor(frame, [1, 3, s, s], &device),
+                    tensor(frame, [1, weights.config.frame_channels(), s, s], &device),
                     tensor(light.to_array().to_vec(), [1, 3], &device),
                     tensor(vec![reach / std::f32::consts::FRAC_PI_2], [1, 1], &device),
                 ));
@@ -514,6 +515,22 @@ mod tests {
             assert_eq!(both.within(f32::to_radians(reach)).config(), same.config());
         }
         assert_eq!(next(&one, 40.0), next(one.within(0.7), 40.0));
+    }
+
+    #[test]
+    fn weights_come_back_from_the_files() {
+        for weights in networks() {
+            let files = export(&weights, "");
+            let back = import(&files).unwrap();
+            for (a, b) in back.params.iter().zip(&weights.folded().params) {
+                assert_eq!((&a.name, &a.values), (&b.name, &b.values));
+            }
+            assert_eq!(export(&back, ""), files);
+        }
+        assert!(matches!(
+            import(&ModelFiles { encoder: Vec::new(), step: Vec::new() }),
+            Err(ModelError::Foreign { .. } | ModelError::Damaged { .. })
+        ));
     }
 
     #[test]

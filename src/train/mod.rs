@@ -6,6 +6,7 @@ pub mod compute;
 pub mod export;
 pub mod fit;
 pub mod formation;
+pub mod import;
 pub mod loss;
 pub mod network;
 pub mod objects;

@@ -7,8 +7,8 @@ use super::formation::{Lookup, Scene, Shot};
 use super::loss::{Captured, Measure, TrainingSolver, step_weights};
 use super::tape::{Network, tensor, values};
 use super::weights::Weights;
-use crate::policy::config::Config;
-use crate::policy::frame::{CEILING, Crop, white};
+use crate::policy::config::{COLOURS, Config};
+use crate::policy::frame::{CEILING, Frames};
 use burn::tensor::{Device, Tensor};
 use glam::Vec3;
 use std::f32::consts::FRAC_PI_2;
@@ -142,8 +142,7 @@ pub struct Captures {
 }
 
 struct Track {
-    crop: Crop,
-    white: f32,
+    frames: Frames,
     used: Vec<usize>,
     shots: Vec<Shot>,
     grey: Vec<Vec<f32>>,
@@ -151,7 +150,8 @@ struct Track {
 }
 
 struct Run<'a> {
-    side: usize,
+    /// Shape of an input frame.
+    shape: [usize; 3],
     episodes: &'a [Episode<'a>],
     how: Conditions,
     tracks: Vec<Track>,
@@ -162,15 +162,15 @@ impl<'a> Run<'a> {
         let tracks = episodes
             .iter()
             .map(|e| Track {
-                crop: Crop::new(e.scene.mask(), config.input),
-                white: 1.0,
+                frames: Frames::new(e.scene.mask(), config),
                 used: Vec::new(),
                 shots: Vec::new(),
                 grey: Vec::new(),
                 asked: Vec::new(),
             })
             .collect();
-        Self { side: config.input, episodes, how, tracks }
+        let shape = [config.frame_channels(), config.input, config.input];
+        Self { shape, episodes, how, tracks }
     }
 
     fn first(&self, device: &Device) -> Tensor<2> {
@@ -199,9 +199,6 @@ impl<'a> Run<'a> {
             if !keep_gradient {
                 shot.gradient = Vec::new();
             }
-            if track.shots.is_empty() {
-                track.white = white(&shot.rgb);
-            }
             track.used.extend(shot.index);
             track.asked.push(direction);
             track.grey.push(shot.rgb.iter().map(|c| (c[0] + c[1] + c[2]) / 3.0).collect());
@@ -211,41 +208,45 @@ impl<'a> Run<'a> {
     }
 
     /// The newest pictures and their directions as the network takes them, depending on `direction`.
-    fn inputs(&self, newest: usize, direction: &Tensor<2>, device: &Device) -> (Tensor<4>, Tensor<2>) {
-        let (batch, s) = (self.tracks.len(), self.side);
-        let cells = 3 * s * s;
-        let mut frames = Vec::with_capacity(batch * cells);
+    fn inputs(&mut self, newest: usize, direction: &Tensor<2>, device: &Device) -> (Tensor<4>, Tensor<2>) {
+        let batch = self.tracks.len();
+        let [channels, height, width] = self.shape;
+        let (size, cells) = (channels * height * width, COLOURS * height * width);
+        let mut frames = Vec::with_capacity(batch * size);
         let mut slopes = [Vec::new(), Vec::new(), Vec::new()];
         let (mut lights, mut by_light) = (Vec::new(), [Vec::new(), Vec::new(), Vec::new()]);
-        for track in &self.tracks {
+        for track in &mut self.tracks {
             let shot = &track.shots[newest];
-            lights.extend(shot.light.normalize_or(Vec3::Z).to_array());
+            let light = shot.light.normalize_or(Vec3::Z);
+            lights.extend(light.to_array());
             for (axis, column) in by_light.iter_mut().enumerate() {
                 column.extend(shot.light_gradient.col(axis).to_array());
             }
             if self.how.blank {
                 continue;
             }
-            let frame = track.crop.frame(&shot.rgb, track.white);
-            let share = self.how.feedback / track.white;
+            let frame = track.frames.next(&shot.rgb, light);
+            let share = self.how.feedback / track.frames.white().unwrap_or(1.0);
             if !shot.gradient.is_empty() {
                 for (axis, slope) in slopes.iter_mut().enumerate() {
                     for channel in 0..3 {
-                        slope.extend(track.crop.average(|p| shot.gradient[p][channel][axis] * share));
+                        slope.extend(track.frames.crop.average(|p| shot.gradient[p][channel][axis] * share));
                     }
                     // Nothing changes where a value is cut off at the ceiling.
                     let start = slope.len() - cells;
                     for (s, &v) in slope[start..].iter_mut().zip(&frame) {
                         *s = if v < CEILING { s.clamp(-STEEP_PIXEL, STEEP_PIXEL) } else { 0.0 };
                     }
+                    // The estimate is taken as it is.
+                    slope.resize(start + size, 0.0);
                 }
             }
             frames.extend(frame);
         }
         // Black frames are all the same: one is enough.
         let mut frames = match self.how.blank {
-            true => Tensor::zeros([1, 3, s, s], device),
-            false => tensor(frames, [batch, 3, s, s], device),
+            true => Tensor::zeros([1, channels, height, width], device),
+            false => tensor(frames, [batch, channels, height, width], device),
         };
         let mut lights = tensor(lights, [batch, 3], device);
         let tracked =
@@ -256,8 +257,9 @@ impl<'a> Run<'a> {
                 let step = step.clone().narrow(1, axis, 1);
                 lights = lights + tensor(by, [batch, 3], device) * step.clone().mul_scalar(self.how.feedback);
                 if !self.how.blank {
-                    frames =
-                        frames + tensor(slope, [batch, 3, s, s], device) * step.reshape([batch, 1, 1, 1]);
+                    frames = frames
+                        + tensor(slope, [batch, channels, height, width], device)
+                            * step.reshape([batch, 1, 1, 1]);
                 }
             }
         }

@@ -1,6 +1,7 @@
 //! The network's parameters as plain numbers: what the optimiser changes, checkpoints keep and the exporter folds.
 
-use crate::policy::config::Config;
+use crate::policy::config::{COLOURS, Config};
+use crate::policy::estimate::CUES;
 use crate::rng::Rng;
 use std::collections::BTreeMap;
 
@@ -32,6 +33,9 @@ const RELU_GAIN: f32 = std::f32::consts::SQRT_2;
 /// by 0.2° between objects); this makes the product about twenty times larger.
 const ENCODER_GAIN: f32 = 1.2 * RELU_GAIN;
 
+/// Gain of the last layer of what the estimate tells, which is added to features that may be trained already.
+const ESTIMATE_GAIN: f32 = 0.1;
+
 /// Gain of the layers before a sum or the direction: the direction starts near the last bias, and light to move.
 const LAST_GAIN: f32 = 0.4;
 
@@ -45,8 +49,14 @@ impl Weights {
     pub fn new(config: &Config, seed: u64) -> Self {
         let mut b = Builder { rng: Rng::new(seed), params: Vec::new() };
         let [c0, c1, c2, c3] = config.channels;
-        for (i, pair) in [3, c0, c1, c1, c2, c2, c3, c3, c3].windows(2).enumerate() {
+        for (i, pair) in [COLOURS, c0, c1, c1, c2, c2, c3, c3, c3].windows(2).enumerate() {
             b.conv(&format!("encoder.{i}"), pair[0], pair[1], ENCODER_GAIN);
+        }
+        if config.estimate {
+            for (i, pair) in [CUES, c1, c2, c3, c3].windows(2).enumerate() {
+                let gain = if i < 3 { RELU_GAIN } else { ESTIMATE_GAIN };
+                b.conv(&format!("estimate.{i}"), pair[0], pair[1], gain);
+            }
         }
         if config.gating {
             for (name, start) in GATE {
@@ -100,19 +110,19 @@ impl Weights {
         Self { config: config.clone(), params: b.params }
     }
 
-    /// The same network, to be told how many pictures there will be: it does at first what it did before.
+    /// These weights in a network that has more inputs: told of more pictures, or shown the estimate. What is new of a layer begins with
+    /// zeros, new layers as in a fresh network.
     #[must_use]
-    pub fn told(self, horizon: usize) -> Self {
-        let config = Config { horizon, ..self.config.clone() };
-        let mut told = Self::new(&config, 0);
-        for p in &mut told.params {
-            p.values.fill(0.0);
+    pub fn grown(&self, horizon: usize, estimate: bool, seed: u64) -> Self {
+        let mut grown = Self::new(&Config { horizon, estimate, ..self.config.clone() }, seed);
+        for p in &mut grown.params {
             // A new input of a layer is a row at the end of its matrix.
             if let Some(old) = self.params.iter().find(|old| old.name == p.name) {
+                p.values.fill(0.0);
                 p.values[..old.values.len()].copy_from_slice(&old.values);
             }
         }
-        told
+        grown
     }
 
     /// Goes this share of the way to `other`, parameters of the same network.
@@ -156,14 +166,19 @@ impl Weights {
             }
             p.values.iter_mut().for_each(|v| *v = half(*v));
         }
-        // With the gain equal to the norm of the rounded kernel, weight norm changes nothing.
-        for i in 0..out.params.len() {
-            if let Some(layer) = out.params[i].name.strip_suffix(".g") {
-                let v = out.get(&format!("{layer}.v"));
-                out.params[i].values = norms(v);
+        out.with_gains_of_kernels()
+    }
+
+    /// With each gain equal to the norm of its kernel, so that weight norm changes nothing: the kernels are those to be used.
+    #[must_use]
+    pub fn with_gains_of_kernels(mut self) -> Self {
+        for i in 0..self.params.len() {
+            if let Some(layer) = self.params[i].name.strip_suffix(".g") {
+                let v = self.get(&format!("{layer}.v"));
+                self.params[i].values = norms(v);
             }
         }
-        out
+        self
     }
 
     /// The convolution kernel `g·v/‖v‖` of a weight-normed layer.

@@ -29,6 +29,8 @@ export interface PolicyInfo {
   transformer: boolean;
   /** Largest number of pictures that it was trained to plan for and is told; 0: it isn't told how many there will be. */
   horizon: number;
+  /** Whether it sees what least squares makes of the pictures so far. */
+  estimate: boolean;
   /** Most pictures a sequence may have. */
   maxFrames: number;
 }
@@ -63,6 +65,7 @@ impl PolicyRunner {
             "gating": c.gating,
             "transformer": c.transformer,
             "horizon": c.horizon,
+            "estimate": c.estimate,
             "maxFrames": c.max_frames,
         }))
     }
@@ -90,6 +93,11 @@ impl PolicyRunner {
         let run = self.run.as_mut().ok_or_else(|| fail("call start with the object's mask first"))?;
         let next = run.observe(rgb.as_chunks().0, light).map_err(fail)?;
         Ok(next.to_array().to_vec())
+    }
+
+    /// The newest frame as the network took it, channels × input × input numbers: for who runs the same files elsewhere.
+    pub fn frame(&self) -> Option<Vec<f32>> {
+        Some(self.run.as_ref()?.frame().to_vec())
     }
 
     /// The gate of the newest picture, `input × input` numbers in 0..1 (1: trusted), over the square around the mask;

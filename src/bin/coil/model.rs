@@ -2,7 +2,6 @@
 
 use anyhow::Context;
 use clap::{Args as ClapArgs, Subcommand};
-use coil_ps::policy::frame::{Crop, white};
 use coil_ps::policy::{ModelFiles, Policy, file};
 use coil_ps::rng::Rng;
 use coil_ps::stack::Mask;
@@ -51,12 +50,13 @@ fn info(folder: &Path) -> anyhow::Result<()> {
     let files = read(folder)?;
     let (encoder, step) = file::headers(&files).with_context(|| folder.display().to_string())?;
     let c = &encoder.config;
-    println!("network   {} (format {})", encoder.network, coil_ps::policy::config::FORMAT);
+    println!("network   {} (format {})", encoder.network, encoder.format);
     println!("size      {}: input {1}x{1}, features {2}x{2}x{3}", c.size, c.input, c.grid(), c.channels[3]);
     let transformer = format!("{} layers of width {}, {} heads", c.layers, c.width, c.heads);
     println!("temporal  {}", if c.transformer { &transformer } else { "none (ablation)" });
     println!("gate      {}", if c.gating { "outlier-aware" } else { "none (ablation)" });
     let told = if c.horizon > 0 { format!("; told how many, up to {}", c.horizon) } else { String::new() };
+    println!("estimate  {}", if c.estimate { "sees least squares' normals and residuals" } else { "none" });
     println!("pictures  {} at most{told}", c.max_frames);
     println!("encoder   {} constants, {} bytes", encoder.values, files.encoder.len());
     println!("step      {} constants, {} bytes", step.values, files.step.len());
@@ -72,7 +72,6 @@ const PICTURES: usize = 10;
 fn trace(folder: &Path, sequences: u64) -> anyhow::Result<()> {
     let policy = Policy::load(&read(folder)?)?;
     let mask = Mask::full(SIDE, SIDE)?;
-    let crop = Crop::new(&mask, policy.config().input);
     let mut times = vec![Vec::new(); PICTURES];
     let mut runs = Vec::new();
     for s in 0..sequences {
@@ -80,7 +79,6 @@ fn trace(folder: &Path, sequences: u64) -> anyhow::Result<()> {
         let reach = rng.range(0.3, 1.0);
         let mut run = policy.start(&mask, reach * std::f32::consts::FRAC_PI_2, PICTURES);
         let mut light = glam::Vec3::Z;
-        let mut scale = None;
         let mut pictures = Vec::new();
         for time in &mut times {
             // Smooth lumps under this light, with noise: something of an image's range.
@@ -94,12 +92,11 @@ fn trace(folder: &Path, sequences: u64) -> anyhow::Result<()> {
                     [v, 0.8 * v, 0.6 * v]
                 })
                 .collect();
-            let frame = crop.frame(&rgb, *scale.get_or_insert_with(|| white(&rgb)));
             let start = Instant::now();
             let next = run.observe(&rgb, light)?;
             time.push(start.elapsed().as_secs_f64() * 1e3);
             pictures.push(serde_json::json!({
-                "frame": frame, "light": light.to_array(), "next": next.to_array(),
+                "frame": run.frame(), "light": light.to_array(), "next": next.to_array(),
             }));
             light = next;
         }

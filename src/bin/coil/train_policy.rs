@@ -1,5 +1,6 @@
 //! `coil train policy`: COIL-PS's network, in resumable pieces.
 
+use crate::model;
 use anyhow::{Context, bail};
 use clap::ValueEnum;
 use coil_ps::light::{azimuth, fibonacci_cap, from_azimuth_slant, ring, slant};
@@ -9,7 +10,7 @@ use coil_ps::train::compute::{Compute, Processor};
 use coil_ps::train::fit::{Recipe, Report, Trainer};
 use coil_ps::train::formation::Scene;
 use coil_ps::train::loss::Measure;
-use coil_ps::train::{checkpoint, export, objects, plot, validate};
+use coil_ps::train::{checkpoint, export, import, objects, plot, validate};
 use glam::Vec3;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::{Deserialize, Serialize};
@@ -84,12 +85,21 @@ pub struct Args {
     /// Tell the policy how many pictures there will be, 3 to T, and count the error after the last one alone.
     #[arg(long, conflicts_with = "first_loss")]
     horizon: bool,
+    /// Show the policy with each picture what least squares makes of those so far.
+    #[arg(long)]
+    estimate: bool,
     /// Show real life's variety in sequences of limited reach: objects turned about the optical axis, rigs good and bad
     #[arg(long)]
     varied: bool,
     /// Objects of varied sequences are of any material, not measured ones alone
     #[arg(long)]
     any_material: bool,
+    /// And these scatter light in any way, as rough and coated surfaces do
+    #[arg(long, requires = "any_material")]
+    any_diffuse: bool,
+    /// Varied sequences are seen by the careful rig too, not by rigs good and bad
+    #[arg(long)]
+    careful: bool,
     /// Share of the sequences over the whole hemisphere
     #[arg(long)]
     whole_dome: Option<f32>,
@@ -144,7 +154,7 @@ pub struct Args {
     /// Folder of a new run: recipe, log, plot, checkpoint, exported best model.
     #[arg(long, required_unless_present = "resume")]
     out: Option<PathBuf>,
-    /// Folder of a run whose best weights a new run begins with.
+    /// Folder of a run whose best weights a new run begins with, or of a model (encoder.onnx, step.onnx).
     #[arg(long, conflicts_with = "resume")]
     from: Option<PathBuf>,
     /// Folder of a run to go on with; of one that has ended, its best and its last weights are compared again.
@@ -204,11 +214,11 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let meshes = trainer.recipe.meshes.as_deref().map(|dir| read_meshes(Path::new(dir))).transpose()?;
     let reach = trainer.recipe.validated_reach();
     let (size, softness) = (trainer.recipe.resolution, trainer.recipe.softness);
-    let pool = objects::Training::new(size, softness, meshes.unwrap_or_default())?
-        .of_any_material(trainer.recipe.any_material);
+    let pool =
+        objects::Training::new(size, softness, meshes.unwrap_or_default())?.with(trainer.recipe.variety());
     let meshes = args.validation_meshes.as_deref().map(read_meshes).transpose()?.unwrap_or_default();
-    let varied = trainer.recipe.varied && trainer.recipe.limited();
-    let scenes = objects::validation(&meshes, args.validation_objects, size, varied)?;
+    let scenes =
+        objects::validation(&meshes, args.validation_objects, size, trainer.recipe.validated_variety())?;
     eprintln!(
         "{} weights, {} validation objects, {} of {} updates made",
         trainer.weights.count(),
@@ -341,8 +351,11 @@ fn recipe(args: &Args) -> anyhow::Result<Recipe> {
     set(&mut r.feedback, args.feedback);
     set(&mut r.measure, args.measure);
     set(&mut r.first_loss, args.first_loss);
+    r.config.estimate |= args.estimate;
     r.varied |= args.varied;
     r.any_material |= args.any_material;
+    r.any_diffuse |= args.any_diffuse;
+    r.careful |= args.careful;
     set(&mut r.whole_dome, args.whole_dome);
     set(&mut r.finite, args.finite);
     if args.horizon {
@@ -403,10 +416,14 @@ fn read_meshes(dir: &Path) -> anyhow::Result<Vec<(String, Mesh)>> {
     files.iter().map(read).collect()
 }
 
-/// A new run of the network, and with the best weights, of the run in `from`.
+/// A new run of the network, and with the best weights, of the run or the model in `from`.
 fn begin_from(from: &Path, recipe: Recipe) -> anyhow::Result<Trainer> {
-    let other = resume(from)?;
-    let weights = other.best.as_ref().map_or_else(|| other.judged().clone(), |best| best.0.clone());
+    let weights = if from.join("checkpoint").exists() {
+        let other = resume(from)?;
+        other.best.as_ref().map_or_else(|| other.judged().clone(), |best| best.0.clone())
+    } else {
+        import::import(&model::read(from)?).with_context(|| from.display().to_string())?
+    };
     // The folder's name, not where it lies: a recipe is passed on.
     let name = fs::canonicalize(from)?.file_name().map(|name| name.to_string_lossy().into_owned());
     let recipe = Recipe { from: name, ..recipe };
