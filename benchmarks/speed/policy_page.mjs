@@ -54,7 +54,7 @@ const { ours, theirs, apart } = await page.evaluate(async ({ encoder, step, sequ
 
       const frame = runner.frame();
       start = performance.now();
-      const { features } = await first.run({ frame: new ort.Tensor("float32", frame, [1, frame.length / cells, side, side]) }, ["features"]);
+      const { features } = await first.run({ frame: new ort.Tensor("float32", frame, [1, 3, side, side]) }, ["features"]);
       const inputs = { features, light: new ort.Tensor("float32", light, [1, 3]), reach: new ort.Tensor("float32", [1], [1, 1]) };
       if ("lights" in shapes) inputs.lights = new ort.Tensor("int64", [BigInt(steps)], [1]);
       if ("position" in shapes) inputs.position = new ort.Tensor("int64", [BigInt(i)], [1]);

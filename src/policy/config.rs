@@ -1,15 +1,9 @@
 //! Sizes of the policy network: one architecture, two named configurations, two ablations.
 
-use super::estimate::CUES;
 use serde::{Deserialize, Serialize};
 
 /// Version of the model files this build reads and writes.
-pub const FORMAT: u32 = 3;
-/// Oldest version that is read too: 3 added [`Config::estimate`], nothing else.
-pub const OLDEST_FORMAT: u32 = 2;
-
-/// Colour channels of a frame.
-pub const COLOURS: usize = 3;
+pub const FORMAT: u32 = 2;
 
 /// Fewest pictures that normals can be solved from.
 const FEWEST: usize = 3;
@@ -48,10 +42,6 @@ pub struct Config {
     /// the paper, whose policy places its third light alike whether it is the last or the third of ten.
     #[serde(default)]
     pub horizon: usize,
-    /// Whether the network sees with each frame what least squares makes of the frames so far ([`super::estimate`]). Not in the
-    /// paper, whose network must find from frames and lights alone what the solver's error will be.
-    #[serde(default)]
-    pub estimate: bool,
     /// Causal transformer and positional encoding; without them each frame stands alone (the other ablation).
     pub transformer: bool,
 }
@@ -75,7 +65,6 @@ impl Config {
             gating: true,
             base: false,
             horizon: 0,
-            estimate: false,
             transformer: true,
         }
     }
@@ -135,12 +124,6 @@ impl Config {
     #[must_use]
     pub fn locations(&self) -> usize {
         self.grid() * self.grid()
-    }
-
-    /// Channels of an input frame: colour, and what is shown with it.
-    #[must_use]
-    pub fn frame_channels(&self) -> usize {
-        COLOURS + if self.estimate { CUES } else { 0 }
     }
 
     /// Values of a light embedding, and channels of the appearance features it is fused with.

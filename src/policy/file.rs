@@ -1,6 +1,6 @@
 //! Model files: two ONNX graphs of one network, and what their metadata must say before they are run.
 
-use super::config::{Config, FORMAT, OLDEST_FORMAT};
+use super::config::{Config, FORMAT};
 use tract_onnx::pb;
 use tract_onnx::prelude::*;
 
@@ -29,8 +29,6 @@ pub struct ModelFiles {
 /// What a model file says of itself.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Header {
-    /// Version of the file's format.
-    pub format: u32,
     /// Sizes of the network.
     pub config: Config,
     /// Identity of the trained network (16 hexadecimal digits).
@@ -68,7 +66,7 @@ pub enum ModelError {
     },
     /// Another version of the format.
     #[error(
-        "{part}: model format {found}, this build reads formats {OLDEST_FORMAT} to {FORMAT}: use the models of the same release"
+        "{part}: model format {found}, this build reads format {FORMAT}: use the models of the same release"
     )]
     Version {
         /// `encoder` or `step`.
@@ -122,10 +120,9 @@ pub(crate) fn read(part: &'static str, bytes: &[u8]) -> Result<(pb::ModelProto, 
         })
     };
     let format = needed(KEY_FORMAT, &FORMAT.to_string())?;
-    let format = match format.parse() {
-        Ok(known) if (OLDEST_FORMAT..=FORMAT).contains(&known) => known,
-        _ => return Err(ModelError::Version { part, found: format }),
-    };
+    if format != FORMAT.to_string() {
+        return Err(ModelError::Version { part, found: format });
+    }
     let found = needed(KEY_PART, part)?;
     if found != part {
         return Err(ModelError::Foreign { part, key: KEY_PART, found, expected: part.into() });
@@ -141,7 +138,6 @@ pub(crate) fn read(part: &'static str, bytes: &[u8]) -> Result<(pb::ModelProto, 
     }
     let values = constants.iter().map(|t| t.dims.iter().product::<i64>().max(0) as usize).sum();
     let header = Header {
-        format,
         config,
         network: needed(KEY_NETWORK, "an identity")?,
         note: entry(KEY_NOTE).unwrap_or_default(),

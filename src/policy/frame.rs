@@ -1,9 +1,6 @@
 //! From mask pixels of any resolution to the network's square input frame.
 
-use super::config::Config;
-use super::estimate::Estimate;
 use crate::stack::Mask;
-use glam::Vec3;
 
 /// Largest value of an input frame, in units of the first frame's 99 % quantile: highlights beyond it tell nothing more.
 pub const CEILING: f32 = 2.0;
@@ -86,15 +83,13 @@ pub struct Frames {
     /// The square cut around the object.
     pub crop: Crop,
     white: Option<f32>,
-    estimate: Option<Estimate>,
 }
 
 impl Frames {
-    /// The frames that the network of `config` takes of the object in `mask`.
+    /// The frames of `side × side` cells of the object in `mask`.
     #[must_use]
-    pub fn new(mask: &Mask, config: &Config) -> Self {
-        let estimate = config.estimate.then(|| Estimate::new(config.input * config.input));
-        Self { crop: Crop::new(mask, config.input), white: None, estimate }
+    pub fn new(mask: &Mask, side: usize) -> Self {
+        Self { crop: Crop::new(mask, side), white: None }
     }
 
     /// What the frames are divided by, once there is one ([`white`]).
@@ -103,16 +98,10 @@ impl Frames {
         self.white
     }
 
-    /// The frame `[`[`Config::frame_channels`]`, side, side]` of the newest picture, linear RGB of the mask pixels, and the unit direction
-    /// it was taken under.
-    pub fn next(&mut self, rgb: &[[f32; 3]], light: Vec3) -> Vec<f32> {
+    /// The frame `[3, side, side]` of the newest picture, linear RGB of the mask pixels.
+    pub fn next(&mut self, rgb: &[[f32; 3]]) -> Vec<f32> {
         let white = *self.white.get_or_insert_with(|| white(rgb));
-        let mut frame = self.crop.frame(rgb, white);
-        if let Some(estimate) = &mut self.estimate {
-            let cues = estimate.add(&frame, light);
-            frame.extend(cues);
-        }
-        frame
+        self.crop.frame(rgb, white)
     }
 }
 

@@ -3,7 +3,6 @@
 //! Training and export live in `train` (native, feature `train`); this module runs what came out of it, native and in WASM.
 
 pub mod config;
-pub mod estimate;
 pub mod file;
 pub mod frame;
 mod runtime;

@@ -87,7 +87,7 @@ impl Policy {
         let cache = if config.transformer { config.cache_shape().iter().product() } else { 0 };
         Sequence {
             policy: network.clone(),
-            frames: Frames::new(mask, &config),
+            frames: Frames::new(mask, config.input),
             pixels: mask.len(),
             reach: (reach / FRAC_PI_2).clamp(SMALLEST_REACH, 1.0),
             told: config.told(lights),
@@ -141,13 +141,13 @@ impl Sequence {
                 config.max_frames
             )));
         }
-        let light = light.normalize();
-        self.frame = self.frames.next(rgb, light);
-        let direction = self.forward(&config, light).map_err(|e| ModelError::Run(root_cause(&e)))?;
+        self.frame = self.frames.next(rgb);
+        let direction =
+            self.forward(&config, light.normalize()).map_err(|e| ModelError::Run(root_cause(&e)))?;
         direction.try_normalize().ok_or_else(|| ModelError::Run("the network gave no direction".into()))
     }
 
-    /// The newest frame as the network took it, `[`[`Config::frame_channels`]`, input, input]`; empty before the first picture.
+    /// The newest frame as the network took it, `[3, input, input]`; empty before the first picture.
     #[must_use]
     pub fn frame(&self) -> &[f32] {
         &self.frame
@@ -174,7 +174,7 @@ impl Sequence {
 
     fn forward(&mut self, config: &Config, light: Vec3) -> TractResult<Vec3> {
         let s = config.input;
-        let frame = Tensor::from_shape(&[1, config.frame_channels(), s, s], &self.frame)?;
+        let frame = Tensor::from_shape(&[1, 3, s, s], &self.frame)?;
         let encoded = self.policy.encoder.run(tvec!(frame.into()))?;
         let mut inputs = tvec!(
             encoded[0].clone(),

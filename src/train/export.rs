@@ -22,7 +22,7 @@ pub fn export(weights: &Weights, note: &str) -> ModelFiles {
     let identity = format!("{:016x}", file::fingerprint(identity));
 
     let mut o = Exporter::new("coil_encoder", &folded);
-    let frame = o.graph.input("frame", &[1, config.frame_channels(), s, s]);
+    let frame = o.graph.input("frame", &[1, 3, s, s]);
     let (features, gate) = encode_frame(&mut o, config, frame);
     o.graph.output("features", &features);
     if let Some(gate) = gate {
@@ -231,8 +231,8 @@ impl Ops for Exporter<'_> {
         self.graph.concat(&[&a, &b], 1)
     }
 
-    fn channels(&mut self, x: Value, first: usize, count: usize) -> Value {
-        self.graph.slice(&x, 1, first, count)
+    fn first_channels(&mut self, x: Value, count: usize) -> Value {
+        self.graph.slice(&x, 1, 0, count)
     }
 
     fn centred(&mut self, x: Value) -> Value {
@@ -428,12 +428,11 @@ mod tests {
     use burn::tensor::Device;
     use glam::Vec3;
 
-    fn networks() -> [Weights; 5] {
+    fn networks() -> [Weights; 4] {
         let c = Config::compact();
         let mut all = [
             c.clone(),
             Config { horizon: 10, ..c.clone() },
-            Config { estimate: true, ..c.clone() },
             Config { gating: false, ..c.clone() },
             Config { transformer: false, ..c },
         ]
@@ -457,16 +456,16 @@ mod tests {
             let reach = 1.1f32;
             let mut run = policy.start(&mask, reach, 7);
             let mut sequence = net.start(7);
-            let mut frames = Frames::new(&mask, &weights.config);
+            let mut frames = Frames::new(&mask, weights.config.input);
             let mut rng = Rng::new(7);
             let mut light = Vec3::Z;
             for t in 1..=10 {
                 let rgb: Vec<[f32; 3]> =
                     (0..mask.len()).map(|_| [rng.uniform(), rng.uniform(), rng.uniform()]).collect();
-                let frame = frames.next(&rgb, light);
+                let frame = frames.next(&rgb);
                 let s = weights.config.input;
                 let expected = values(sequence.step(
-                    tensor(frame, [1, weights.config.frame_channels(), s, s], &device),
+                    tensor(frame, [1, 3, s, s], &device),
                     tensor(light.to_array().to_vec(), [1, 3], &device),
                     tensor(vec![reach / std::f32::consts::FRAC_PI_2], [1, 1], &device),
                 ));

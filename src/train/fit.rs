@@ -4,7 +4,6 @@ use super::adamw::{AdamW, clip};
 use super::compute::Compute;
 use super::formation::{Lookup, Scene, light_set};
 use super::loss::{LeastSquares, Measure, TrainingSolver};
-use super::objects::Variety;
 use super::rollout::{Conditions, Episode, Pass, differentiate};
 use super::weights::Weights;
 use crate::light::fibonacci_cap;
@@ -27,7 +26,7 @@ pub struct Recipe {
     #[serde(default)]
     pub meshes: Option<String>,
     /// Whether sequences of limited reach, as all real rigs have it, show real life's variety: objects turned about the
-    /// optical axis at random, rigs good and bad (or the careful one: `careful`), lights near and far. Over the whole hemisphere objects stand upright before
+    /// optical axis at random, rigs good and bad, lights near and far. Over the whole hemisphere objects stand upright before
     /// the careful rig all the same.
     #[serde(default)]
     pub varied: bool,
@@ -35,13 +34,6 @@ pub struct Recipe {
     /// plastics for the most part.
     #[serde(default)]
     pub any_material: bool,
-    /// And whether these scatter light in any way ([`crate::render::Diffuse`]).
-    #[serde(default)]
-    pub any_diffuse: bool,
-    /// Whether varied sequences are seen by the careful rig too. Rigs good and bad teach wide lights: their errors are worst where lights
-    /// are close together.
-    #[serde(default)]
-    pub careful: bool,
     /// Objects in the training pool.
     pub objects: usize,
     /// Side of the training pictures, pixels.
@@ -124,8 +116,6 @@ impl Recipe {
             meshes: None,
             varied: false,
             any_material: false,
-            any_diffuse: false,
-            careful: false,
             objects: 2000,
             resolution: 40,
             steps: 3000,
@@ -230,19 +220,6 @@ impl Recipe {
         self.whole_dome <= 0.0
     }
 
-    /// How varied sequences differ from the others.
-    #[must_use]
-    pub fn variety(&self) -> Variety {
-        let &Self { any_material, any_diffuse, careful, .. } = self;
-        Variety { any_material, any_diffuse, careful }
-    }
-
-    /// What validation objects are varied like: those of a policy for limited reach, as in training.
-    #[must_use]
-    pub fn validated_variety(&self) -> Option<Variety> {
-        (self.varied && self.limited()).then(|| self.variety())
-    }
-
     /// Largest slant of the lights in validation, radians.
     #[must_use]
     pub fn validated_reach(&self) -> f32 {
@@ -328,15 +305,14 @@ impl Trainer {
         Ok(Self::starting(weights, recipe))
     }
 
-    /// A fresh run of another run's network, and with its weights: of the recipe's network only the horizon and the estimate
-    /// count, and the side of the frames where it is larger.
+    /// A fresh run of another run's network, and with its weights: of the recipe's network only the horizon counts, and the side of
+    /// the frames where it is larger.
     ///
     /// # Errors
     /// [`Recipe::check`].
     pub fn begin_with(weights: Weights, recipe: Recipe) -> Result<Self, String> {
         let horizon = recipe.config.horizon.max(weights.config.horizon);
-        let estimate = recipe.config.estimate || weights.config.estimate;
-        let mut weights = weights.grown(horizon, estimate, recipe.seed);
+        let mut weights = if weights.config.horizon == horizon { weights } else { weights.told(horizon) };
         if recipe.config.grid() == weights.config.grid() {
             weights.config = weights.config.seeing(recipe.config.input.max(weights.config.input))?;
         }
@@ -522,21 +498,6 @@ mod tests {
             measure: Measure::Cosine,
             ..Recipe::compact()
         }
-    }
-
-    #[test]
-    fn a_run_that_begins_with_another_may_be_shown_the_estimate() {
-        let old = Trainer::new(recipe()).unwrap().weights;
-        let config = Config { estimate: true, ..recipe().config };
-        let mut t = Trainer::begin_with(old.clone(), Recipe { config, ..recipe() }).unwrap();
-        assert!(t.recipe.config.estimate && t.weights.config == t.recipe.config);
-        for p in &old.params {
-            assert_eq!(t.weights.get(&p.name), p);
-        }
-        let begun = t.weights.clone();
-        t.update(&Bumps, &Compute::cpu(1)).unwrap();
-        let moved = begun.params.iter().zip(&t.weights.params).filter(|(a, b)| a != b);
-        assert_eq!(moved.filter(|(a, _)| a.name.starts_with("estimate.")).count(), 12);
     }
 
     #[test]

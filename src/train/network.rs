@@ -1,8 +1,7 @@
 //! The policy network, written once over the few operations it needs. Burn runs and differentiates it
 //! ([`super::tape`]), the exporter writes it as ONNX ([`super::export`]).
 
-use crate::policy::config::{COLOURS, Config};
-use crate::policy::estimate::CUES;
+use crate::policy::config::Config;
 
 /// What is outside a feature map when a 3×3 kernel looks there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,8 +34,8 @@ pub trait Ops {
     fn add(&mut self, a: Self::Map, b: Self::Map) -> Self::Map;
     /// Channels of both.
     fn join(&mut self, a: Self::Map, b: Self::Map) -> Self::Map;
-    /// `count` channels from `first` on.
-    fn channels(&mut self, x: Self::Map, first: usize, count: usize) -> Self::Map;
+    /// The first `count` channels.
+    fn first_channels(&mut self, x: Self::Map, count: usize) -> Self::Map;
     /// Less its mean over height and width.
     fn centred(&mut self, x: Self::Map) -> Self::Map;
     /// Reliability mask of RGB frames: σ((x−θ_low)/t)·σ((θ_high−x)/t) of their mean over channels, `[batch, 1, h, w]`.
@@ -75,7 +74,7 @@ pub trait Ops {
     fn direction(&mut self, x: Self::Rows) -> Self::Rows;
 }
 
-/// (a) Multi-scale encoder: `[batch, COLOURS, input, input]` → `[batch, channels[3], grid, grid]`.
+/// (a) Multi-scale encoder: `[batch, 3, input, input]` → `[batch, channels[3], grid, grid]`.
 fn encode<O: Ops>(o: &mut O, config: &Config, mut x: O::Map) -> O::Map {
     // A pool follows these convolutions (3-32 P, 32-64, 64-64 P, 64-128, 128-128 P, 128-256, 256-256 P, 256-256).
     let mut pools = [0, 2, 4, 6].into_iter().take(config.pools).peekable();
@@ -89,37 +88,8 @@ fn encode<O: Ops>(o: &mut O, config: &Config, mut x: O::Map) -> O::Map {
     x
 }
 
-/// What the estimate tells, `[batch, CUES, input, input]` → `[batch, channels[3], grid, grid]`, by an encoder of its own: the estimate
-/// has no gate, and F_mask comes from frames alone. Not in the paper.
-fn encode_estimate<O: Ops>(o: &mut O, config: &Config, mut x: O::Map) -> O::Map {
-    for i in 0..3 {
-        x = o.conv(&format!("estimate.{i}"), x, Border::Reflect);
-        x = o.relu(x);
-        if i < config.pools {
-            x = o.pool(x);
-        }
-    }
-    if config.pools > 3 {
-        x = o.pool(x);
-    }
-    o.conv("estimate.3", x, Border::Reflect)
-}
-
-/// (a) The features of new frames `[batch, `[`Config::frame_channels`]`, input, input]`: F̃, and what the estimate tells added to it; and the
-/// gate (absent in the ablation without it).
+/// (a) The gated features F̃ of new frames, and the gate (absent in the ablation without it).
 pub fn encode_frame<O: Ops>(o: &mut O, config: &Config, frame: O::Map) -> (O::Map, Option<O::Map>) {
-    if !config.estimate {
-        return gated(o, config, frame);
-    }
-    let colours = o.channels(frame.clone(), 0, COLOURS);
-    let (features, gate) = gated(o, config, colours);
-    let cues = o.channels(frame, COLOURS, CUES);
-    let cues = encode_estimate(o, config, cues);
-    (o.add(features, cues), gate)
-}
-
-/// F̃ of RGB frames, and the gate.
-fn gated<O: Ops>(o: &mut O, config: &Config, frame: O::Map) -> (O::Map, Option<O::Map>) {
     let image = encode(o, config, frame.clone());
     if !config.gating {
         return (image, None);
@@ -190,7 +160,7 @@ fn fuse<O: Ops>(o: &mut O, config: &Config, features: O::Map) -> O::Map {
     let light = o.linear("light.1", light);
     let light = o.relu_rows(light);
     let light = o.spread(light, config.grid());
-    let look = o.channels(features, 0, config.embedding());
+    let look = o.first_channels(features, config.embedding());
     let x = o.join(look, light);
 
     let level0 = step(o, "fuser.down0", x);

@@ -62,29 +62,12 @@ struct Bare {
     exchange: Exchange,
 }
 
-/// How varied objects ([`super::fit::Recipe::varied`]) differ from the others, beside being turned about the optical axis.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Variety {
-    /// Of any material ([`crate::render::Material::any`]), not of measured ones alone.
-    pub any_material: bool,
-    /// And these scatter light in any way ([`crate::render::Material::any_diffusing`]).
-    pub any_diffuse: bool,
-    /// Seen by the careful rig ([`Tolerances::RIG`]), as the others are, not by rigs good and bad.
-    pub careful: bool,
-}
-
-impl Variety {
-    fn rig(self, rng: &mut Rng) -> Tolerances {
-        if self.careful { Tolerances::RIG } else { Tolerances::any(rng, COLLIMATED, NEAREST) }
-    }
-}
-
 /// The policy's training objects, made when first drawn and kept; each draw gets a finish of its own.
 pub struct Training {
     size: u32,
     softness: f32,
     meshes: Vec<(String, Mesh)>,
-    variety: Variety,
+    any_material: bool,
     made: Mutex<HashMap<(usize, bool), Arc<Bare>>>,
 }
 
@@ -113,13 +96,13 @@ impl Training {
         for (_, mesh) in &meshes {
             Pose::fit(&Shape::Mesh(mesh.clone()), Mat3::IDENTITY)?;
         }
-        Ok(Self { size, softness, meshes, variety: Variety::default(), made: Mutex::new(HashMap::new()) })
+        Ok(Self { size, softness, meshes, any_material: false, made: Mutex::new(HashMap::new()) })
     }
 
-    /// The same, with varied objects like this.
+    /// The same, with varied objects of any material, see [`super::fit::Recipe::any_material`].
     #[must_use]
-    pub fn with(self, variety: Variety) -> Self {
-        Self { variety, ..self }
+    pub fn of_any_material(self, any_material: bool) -> Self {
+        Self { any_material, ..self }
     }
 
     fn object(&self, index: usize, turned: bool) -> Object {
@@ -156,11 +139,7 @@ impl Training {
 impl Pool for Training {
     fn draw(&self, index: usize, varied: bool, rng: &mut Rng) -> Box<dyn Scene> {
         let bare = self.bare(index, varied);
-        let finish = match self.variety {
-            Variety { any_diffuse: true, .. } if varied => worlds::any_diffusing_finish,
-            Variety { any_material: true, .. } if varied => worlds::any_finish,
-            _ => worlds::finish,
-        };
+        let finish = if varied && self.any_material { worlds::any_finish } else { worlds::finish };
         let finish = finish(worlds::Split::Train, rng);
         let skin = finish.skin(&bare.view, &bare.pose);
         let scene = render::Scene {
@@ -174,7 +153,7 @@ impl Pool for Training {
             bounces: 1,
         };
         let seed = rng.next_u64();
-        let rig = if varied { self.variety.rig(rng) } else { Tolerances::RIG };
+        let rig = if varied { Tolerances::any(rng, COLLIMATED, NEAREST) } else { Tolerances::RIG };
         Box::new(Real::new(scene, rig, seed))
     }
 }
@@ -187,8 +166,8 @@ fn rolled(object: Object, index: usize) -> Object {
 }
 
 /// Validation objects, with one bounce of light and hard shadows: the first ones of `worlds`; with meshes these in turn, each
-/// time in another pose and with another finish of the validation materials. Varied ones are turned and seen by the rigs of
-/// `varied`, as in training; materials are those of validation always.
+/// time in another pose and with another finish of the validation materials. Varied ones are turned, and seen by rigs of any
+/// quality, as in training.
 ///
 /// # Errors
 /// A mesh that can't be rendered.
@@ -196,7 +175,7 @@ pub fn validation(
     meshes: &[(String, Mesh)],
     count: usize,
     size: u32,
-    varied: Option<Variety>,
+    varied: bool,
 ) -> Result<Vec<Box<dyn Scene>>, RenderError> {
     let options = Options { size, softness: 0.0, ..Options::default() };
     (0..count)
@@ -210,8 +189,11 @@ pub fn validation(
                 }
             };
             let (object, rig) = match varied {
-                Some(variety) => (rolled(object, i), variety.rig(&mut Rng::stream(RIGS, i as u64))),
-                None => (object, Tolerances::RIG),
+                true => {
+                    let rig = Tolerances::any(&mut Rng::stream(RIGS, i as u64), COLLIMATED, NEAREST);
+                    (rolled(object, i), rig)
+                }
+                false => (object, Tolerances::RIG),
             };
             Ok(Box::new(Real::new(object.scene(&options)?, rig, i as u64)) as Box<dyn Scene>)
         })
@@ -226,12 +208,12 @@ mod tests {
     fn meshes_are_validated_on_in_turn_each_time_otherwise() {
         let tent = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nv 0 0 1\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\n";
         let mesh = |name: &str| (name.to_owned(), Mesh::from_bytes("tent.obj", tent.as_bytes()).unwrap());
-        let scenes = validation(&[mesh("a"), mesh("b")], 3, 24, None).unwrap();
+        let scenes = validation(&[mesh("a"), mesh("b")], 3, 24, false).unwrap();
         let seen: Vec<_> = scenes.iter().map(|s| s.image(Vec3::Z)).collect();
         assert!(seen[0] != seen[2] && seen[0] != seen[1]);
         assert_eq!(
-            validation(&[], 1, 24, None).unwrap()[0].image(Vec3::Z),
-            validation(&[], 2, 24, None).unwrap()[0].image(Vec3::Z)
+            validation(&[], 1, 24, false).unwrap()[0].image(Vec3::Z),
+            validation(&[], 2, 24, false).unwrap()[0].image(Vec3::Z)
         );
     }
 
@@ -270,18 +252,16 @@ mod tests {
     }
 
     #[test]
-    fn varied_objects_alone_are_of_any_material_and_before_any_rig() {
+    fn varied_objects_alone_are_of_any_material() {
         let new = || Training::new(20, 0.05, Vec::new()).unwrap();
-        let careful = Variety { careful: true, ..Variety::default() };
-        let (measured, any) = (new().with(careful), new().with(Variety { any_material: true, ..careful }));
-        let rough = new();
-        let differ = |any: &Training, varied: bool| {
+        let (measured, any) = (new(), new().of_any_material(true));
+        let differ = |varied: bool| {
             let draw = |pool: &Training, i| {
                 pool.draw(i, varied, &mut Rng::new(i as u64)).image(Vec3::new(0.6, 0.0, 0.8))
             };
-            (0..4).filter(|&i| draw(&measured, i) != draw(any, i)).count()
+            (0..4).filter(|&i| draw(&measured, i) != draw(&any, i)).count()
         };
-        assert!(differ(&any, true) > 0 && differ(&rough, true) == 4);
-        assert!(differ(&any, false) == 0 && differ(&rough, false) == 0);
+        assert!(differ(true) > 0);
+        assert_eq!(differ(false), 0);
     }
 }

@@ -7,7 +7,7 @@ use super::formation::{Lookup, Scene, Shot};
 use super::loss::{Captured, Measure, TrainingSolver, step_weights};
 use super::tape::{Network, tensor, values};
 use super::weights::Weights;
-use crate::policy::config::{COLOURS, Config};
+use crate::policy::config::Config;
 use crate::policy::frame::{CEILING, Frames};
 use burn::tensor::{Device, Tensor};
 use glam::Vec3;
@@ -150,8 +150,7 @@ struct Track {
 }
 
 struct Run<'a> {
-    /// Shape of an input frame.
-    shape: [usize; 3],
+    side: usize,
     episodes: &'a [Episode<'a>],
     how: Conditions,
     tracks: Vec<Track>,
@@ -162,15 +161,14 @@ impl<'a> Run<'a> {
         let tracks = episodes
             .iter()
             .map(|e| Track {
-                frames: Frames::new(e.scene.mask(), config),
+                frames: Frames::new(e.scene.mask(), config.input),
                 used: Vec::new(),
                 shots: Vec::new(),
                 grey: Vec::new(),
                 asked: Vec::new(),
             })
             .collect();
-        let shape = [config.frame_channels(), config.input, config.input];
-        Self { shape, episodes, how, tracks }
+        Self { side: config.input, episodes, how, tracks }
     }
 
     fn first(&self, device: &Device) -> Tensor<2> {
@@ -209,23 +207,21 @@ impl<'a> Run<'a> {
 
     /// The newest pictures and their directions as the network takes them, depending on `direction`.
     fn inputs(&mut self, newest: usize, direction: &Tensor<2>, device: &Device) -> (Tensor<4>, Tensor<2>) {
-        let batch = self.tracks.len();
-        let [channels, height, width] = self.shape;
-        let (size, cells) = (channels * height * width, COLOURS * height * width);
-        let mut frames = Vec::with_capacity(batch * size);
+        let (batch, s) = (self.tracks.len(), self.side);
+        let cells = 3 * s * s;
+        let mut frames = Vec::with_capacity(batch * cells);
         let mut slopes = [Vec::new(), Vec::new(), Vec::new()];
         let (mut lights, mut by_light) = (Vec::new(), [Vec::new(), Vec::new(), Vec::new()]);
         for track in &mut self.tracks {
             let shot = &track.shots[newest];
-            let light = shot.light.normalize_or(Vec3::Z);
-            lights.extend(light.to_array());
+            lights.extend(shot.light.normalize_or(Vec3::Z).to_array());
             for (axis, column) in by_light.iter_mut().enumerate() {
                 column.extend(shot.light_gradient.col(axis).to_array());
             }
             if self.how.blank {
                 continue;
             }
-            let frame = track.frames.next(&shot.rgb, light);
+            let frame = track.frames.next(&shot.rgb);
             let share = self.how.feedback / track.frames.white().unwrap_or(1.0);
             if !shot.gradient.is_empty() {
                 for (axis, slope) in slopes.iter_mut().enumerate() {
@@ -237,16 +233,14 @@ impl<'a> Run<'a> {
                     for (s, &v) in slope[start..].iter_mut().zip(&frame) {
                         *s = if v < CEILING { s.clamp(-STEEP_PIXEL, STEEP_PIXEL) } else { 0.0 };
                     }
-                    // The estimate is taken as it is.
-                    slope.resize(start + size, 0.0);
                 }
             }
             frames.extend(frame);
         }
         // Black frames are all the same: one is enough.
         let mut frames = match self.how.blank {
-            true => Tensor::zeros([1, channels, height, width], device),
-            false => tensor(frames, [batch, channels, height, width], device),
+            true => Tensor::zeros([1, 3, s, s], device),
+            false => tensor(frames, [batch, 3, s, s], device),
         };
         let mut lights = tensor(lights, [batch, 3], device);
         let tracked =
@@ -257,9 +251,8 @@ impl<'a> Run<'a> {
                 let step = step.clone().narrow(1, axis, 1);
                 lights = lights + tensor(by, [batch, 3], device) * step.clone().mul_scalar(self.how.feedback);
                 if !self.how.blank {
-                    frames = frames
-                        + tensor(slope, [batch, channels, height, width], device)
-                            * step.reshape([batch, 1, 1, 1]);
+                    frames =
+                        frames + tensor(slope, [batch, 3, s, s], device) * step.reshape([batch, 1, 1, 1]);
                 }
             }
         }

@@ -128,7 +128,7 @@ pub struct Sequence<'a> {
 }
 
 impl Sequence<'_> {
-    /// Takes in the newest frames `[batch, `[`Config::frame_channels`]`, input, input]` (or one frame for all of the batch), the unit directions `[batch, 3]` they were taken under
+    /// Takes in the newest frames `[batch, 3, input, input]` (or one frame for all of the batch), the unit directions `[batch, 3]` they were taken under
     /// and the reach `[batch, 1]` as a fraction of 90°; gives the next directions `[batch, 3]`.
     pub fn step(&mut self, frames: Tensor<4>, lights: Tensor<2>, reach: Tensor<2>) -> Tensor<2> {
         let config = self.net.config.clone();
@@ -201,8 +201,8 @@ impl Ops for Sequence<'_> {
         Tensor::cat(vec![a, b], 1)
     }
 
-    fn channels(&mut self, x: Tensor<4>, first: usize, count: usize) -> Tensor<4> {
-        x.narrow(1, first, count)
+    fn first_channels(&mut self, x: Tensor<4>, count: usize) -> Tensor<4> {
+        x.narrow(1, 0, count)
     }
 
     fn centred(&mut self, x: Tensor<4>) -> Tensor<4> {
@@ -374,20 +374,8 @@ mod tests {
             gating: true,
             base: true,
             horizon: 0,
-            estimate: false,
             transformer: true,
         }
-    }
-
-    fn frame_size(config: &Config) -> usize {
-        config.frame_channels() * config.input * config.input
-    }
-
-    /// Frame `i` of an input.
-    fn frame(config: &Config, input: &Input, i: usize, device: &Device) -> Tensor<4> {
-        let (size, s) = (frame_size(config), config.input);
-        let values = input.frames[i * size..(i + 1) * size].to_vec();
-        tensor(values, [1, config.frame_channels(), s, s], device)
     }
 
     struct Input {
@@ -399,19 +387,20 @@ mod tests {
     /// `count` random frames and lights, frame by frame.
     fn random(config: &Config, count: usize, seed: u64) -> Input {
         let mut rng = Rng::new(seed);
-        let frames = (0..count * frame_size(config)).map(|_| rng.uniform()).collect();
+        let frames = (0..count * 3 * config.input * config.input).map(|_| rng.uniform()).collect();
         let lights = (0..count).flat_map(|_| rng.direction(1.5).to_array()).collect();
         Input { frames, lights, reach: vec![0.7; count] }
     }
 
     fn one(net: &Network, input: &Input, count: usize) -> Vec<Vec<f32>> {
-        let device = &Device::flex();
+        let (s, device) = (net.config.input, &Device::flex());
         let mut run = net.start(count);
         (0..count)
             .map(|i| {
+                let frame = input.frames[i * 3 * s * s..(i + 1) * 3 * s * s].to_vec();
                 let light = input.lights[3 * i..3 * i + 3].to_vec();
                 let d = run.step(
-                    frame(&net.config, input, i, device),
+                    tensor(frame, [1, 3, s, s], device),
                     tensor(light, [1, 3], device),
                     tensor(vec![input.reach[i]], [1, 1], device),
                 );
@@ -424,15 +413,14 @@ mod tests {
         let (s, device) = (net.config.input, &Device::flex());
         values(net.whole(
             count,
-            tensor(input.frames.clone(), [count, net.config.frame_channels(), s, s], device),
+            tensor(input.frames.clone(), [count, 3, s, s], device),
             tensor(input.lights.clone(), [count, 3], device),
             tensor(input.reach.clone(), [count, 1], device),
         ))
     }
 
-    fn ablations(config: Config) -> [Config; 5] {
+    fn ablations(config: Config) -> [Config; 4] {
         [
-            Config { estimate: true, ..config.clone() },
             Config { gating: false, ..config.clone() },
             Config { transformer: false, ..config.clone() },
             Config { horizon: 10, ..config.clone() },
@@ -447,7 +435,7 @@ mod tests {
         let input = random(&config, 4, 2);
         let device = Device::flex();
         let before = one(&Network::new(&weights, &device), &input, 4);
-        let mut told = weights.grown(10, false, 2);
+        let mut told = weights.told(10);
         let after = one(&Network::new(&told, &device), &input, 4);
         for (a, b) in before.iter().flatten().zip(after.iter().flatten()) {
             assert!((a - b).abs() < 1e-6);
@@ -456,13 +444,15 @@ mod tests {
         let table = told.index()["head.horizon"];
         told.params[table].values[3 * row] = 0.5;
         let net = Network::new(&told, &device);
+        let s = config.input;
         let second = |lights: usize| {
             let mut run = net.start(lights);
             (0..2)
                 .map(|i| {
+                    let frame = input.frames[i * 3 * s * s..(i + 1) * 3 * s * s].to_vec();
                     let light = input.lights[3 * i..3 * i + 3].to_vec();
                     values(run.step(
-                        frame(&config, &input, i, &device),
+                        tensor(frame, [1, 3, s, s], &device),
                         tensor(light, [1, 3], &device),
                         tensor(vec![0.7], [1, 1], &device),
                     ))
@@ -528,11 +518,13 @@ mod tests {
             let input = random(&config, 3, 9);
             let loss = |weights: &Weights, device: &Device| {
                 let net = Network::new(weights, device);
+                let s = config.input;
                 let mut run = net.start(3);
                 let mut sum: Option<Tensor<1>> = None;
                 for i in 0..3 {
+                    let frame = input.frames[i * 3 * s * s..(i + 1) * 3 * s * s].to_vec();
                     let d = run.step(
-                        frame(&config, &input, i, device),
+                        tensor(frame, [1, 3, s, s], device),
                         tensor(input.lights[3 * i..3 * i + 3].to_vec(), [1, 3], device),
                         tensor(vec![0.7], [1, 1], device),
                     );

@@ -1,7 +1,6 @@
 //! The network's parameters as plain numbers: what the optimiser changes, checkpoints keep and the exporter folds.
 
-use crate::policy::config::{COLOURS, Config};
-use crate::policy::estimate::CUES;
+use crate::policy::config::Config;
 use crate::rng::Rng;
 use std::collections::BTreeMap;
 
@@ -33,9 +32,6 @@ const RELU_GAIN: f32 = std::f32::consts::SQRT_2;
 /// by 0.2° between objects); this makes the product about twenty times larger.
 const ENCODER_GAIN: f32 = 1.2 * RELU_GAIN;
 
-/// Gain of the last layer of what the estimate tells, which is added to features that may be trained already.
-const ESTIMATE_GAIN: f32 = 0.1;
-
 /// Gain of the layers before a sum or the direction: the direction starts near the last bias, and light to move.
 const LAST_GAIN: f32 = 0.4;
 
@@ -49,14 +45,8 @@ impl Weights {
     pub fn new(config: &Config, seed: u64) -> Self {
         let mut b = Builder { rng: Rng::new(seed), params: Vec::new() };
         let [c0, c1, c2, c3] = config.channels;
-        for (i, pair) in [COLOURS, c0, c1, c1, c2, c2, c3, c3, c3].windows(2).enumerate() {
+        for (i, pair) in [3, c0, c1, c1, c2, c2, c3, c3, c3].windows(2).enumerate() {
             b.conv(&format!("encoder.{i}"), pair[0], pair[1], ENCODER_GAIN);
-        }
-        if config.estimate {
-            for (i, pair) in [CUES, c1, c2, c3, c3].windows(2).enumerate() {
-                let gain = if i < 3 { RELU_GAIN } else { ESTIMATE_GAIN };
-                b.conv(&format!("estimate.{i}"), pair[0], pair[1], gain);
-            }
         }
         if config.gating {
             for (name, start) in GATE {
@@ -110,19 +100,19 @@ impl Weights {
         Self { config: config.clone(), params: b.params }
     }
 
-    /// These weights in a network that has more inputs: told of more pictures, or shown the estimate. What is new of a layer begins with
-    /// zeros, new layers as in a fresh network.
+    /// The same network, to be told how many pictures there will be: it does at first what it did before.
     #[must_use]
-    pub fn grown(&self, horizon: usize, estimate: bool, seed: u64) -> Self {
-        let mut grown = Self::new(&Config { horizon, estimate, ..self.config.clone() }, seed);
-        for p in &mut grown.params {
+    pub fn told(self, horizon: usize) -> Self {
+        let config = Config { horizon, ..self.config.clone() };
+        let mut told = Self::new(&config, 0);
+        for p in &mut told.params {
+            p.values.fill(0.0);
             // A new input of a layer is a row at the end of its matrix.
             if let Some(old) = self.params.iter().find(|old| old.name == p.name) {
-                p.values.fill(0.0);
                 p.values[..old.values.len()].copy_from_slice(&old.values);
             }
         }
-        grown
+        told
     }
 
     /// Goes this share of the way to `other`, parameters of the same network.

@@ -29,8 +29,6 @@ export interface PolicyInfo {
   transformer: boolean;
   /** Largest number of pictures that it was trained to plan for and is told; 0: it isn't told how many there will be. */
   horizon: number;
-  /** Whether it sees what least squares makes of the pictures so far. */
-  estimate: boolean;
   /** Most pictures a sequence may have. */
   maxFrames: number;
 }
@@ -65,7 +63,6 @@ impl PolicyRunner {
             "gating": c.gating,
             "transformer": c.transformer,
             "horizon": c.horizon,
-            "estimate": c.estimate,
             "maxFrames": c.max_frames,
         }))
     }
@@ -95,7 +92,7 @@ impl PolicyRunner {
         Ok(next.to_array().to_vec())
     }
 
-    /// The newest frame as the network took it, channels × input × input numbers: for who runs the same files elsewhere.
+    /// The newest frame as the network took it, 3 × input × input numbers: for who runs the same files elsewhere.
     pub fn frame(&self) -> Option<Vec<f32>> {
         Some(self.run.as_ref()?.frame().to_vec())
     }

@@ -50,13 +50,12 @@ fn info(folder: &Path) -> anyhow::Result<()> {
     let files = read(folder)?;
     let (encoder, step) = file::headers(&files).with_context(|| folder.display().to_string())?;
     let c = &encoder.config;
-    println!("network   {} (format {})", encoder.network, encoder.format);
+    println!("network   {} (format {})", encoder.network, coil_ps::policy::config::FORMAT);
     println!("size      {}: input {1}x{1}, features {2}x{2}x{3}", c.size, c.input, c.grid(), c.channels[3]);
     let transformer = format!("{} layers of width {}, {} heads", c.layers, c.width, c.heads);
     println!("temporal  {}", if c.transformer { &transformer } else { "none (ablation)" });
     println!("gate      {}", if c.gating { "outlier-aware" } else { "none (ablation)" });
     let told = if c.horizon > 0 { format!("; told how many, up to {}", c.horizon) } else { String::new() };
-    println!("estimate  {}", if c.estimate { "sees least squares' normals and residuals" } else { "none" });
     println!("pictures  {} at most{told}", c.max_frames);
     println!("encoder   {} constants, {} bytes", encoder.values, files.encoder.len());
     println!("step      {} constants, {} bytes", step.values, files.step.len());

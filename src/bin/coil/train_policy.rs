@@ -85,21 +85,12 @@ pub struct Args {
     /// Tell the policy how many pictures there will be, 3 to T, and count the error after the last one alone.
     #[arg(long, conflicts_with = "first_loss")]
     horizon: bool,
-    /// Show the policy with each picture what least squares makes of those so far.
-    #[arg(long)]
-    estimate: bool,
     /// Show real life's variety in sequences of limited reach: objects turned about the optical axis, rigs good and bad
     #[arg(long)]
     varied: bool,
     /// Objects of varied sequences are of any material, not measured ones alone
     #[arg(long)]
     any_material: bool,
-    /// And these scatter light in any way, as rough and coated surfaces do
-    #[arg(long, requires = "any_material")]
-    any_diffuse: bool,
-    /// Varied sequences are seen by the careful rig too, not by rigs good and bad
-    #[arg(long)]
-    careful: bool,
     /// Share of the sequences over the whole hemisphere
     #[arg(long)]
     whole_dome: Option<f32>,
@@ -214,11 +205,11 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let meshes = trainer.recipe.meshes.as_deref().map(|dir| read_meshes(Path::new(dir))).transpose()?;
     let reach = trainer.recipe.validated_reach();
     let (size, softness) = (trainer.recipe.resolution, trainer.recipe.softness);
-    let pool =
-        objects::Training::new(size, softness, meshes.unwrap_or_default())?.with(trainer.recipe.variety());
+    let pool = objects::Training::new(size, softness, meshes.unwrap_or_default())?
+        .of_any_material(trainer.recipe.any_material);
     let meshes = args.validation_meshes.as_deref().map(read_meshes).transpose()?.unwrap_or_default();
-    let scenes =
-        objects::validation(&meshes, args.validation_objects, size, trainer.recipe.validated_variety())?;
+    let varied = trainer.recipe.varied && trainer.recipe.limited();
+    let scenes = objects::validation(&meshes, args.validation_objects, size, varied)?;
     eprintln!(
         "{} weights, {} validation objects, {} of {} updates made",
         trainer.weights.count(),
@@ -351,11 +342,8 @@ fn recipe(args: &Args) -> anyhow::Result<Recipe> {
     set(&mut r.feedback, args.feedback);
     set(&mut r.measure, args.measure);
     set(&mut r.first_loss, args.first_loss);
-    r.config.estimate |= args.estimate;
     r.varied |= args.varied;
     r.any_material |= args.any_material;
-    r.any_diffuse |= args.any_diffuse;
-    r.careful |= args.careful;
     set(&mut r.whole_dome, args.whole_dome);
     set(&mut r.finite, args.finite);
     if args.horizon {
