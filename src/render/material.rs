@@ -1,9 +1,8 @@
-//! Reflectance: the 100 measured ABC materials, Lambert, Oren-Nayar, GGX.
+//! Reflectance: the 100 measured ABC materials, Lambert, GGX.
 //!
 //! Values are `π f(l, v) max(n·l, 0)`: the radiance under a distant light whose irradiance is π, so that a
 //! white Lambertian patch facing the light has the value 1.
 
-use super::diffuse::Diffuse;
 use super::real::{Real, V3};
 use crate::rng::Rng;
 use glam::Vec3;
@@ -39,8 +38,6 @@ pub struct Ggx {
     pub f0: [f32; 3],
     /// Width α of the distribution, in (0, 1].
     pub alpha: f32,
-    /// How the diffuse part departs from Lambert's.
-    pub diffuse: Diffuse,
 }
 
 /// What a surface is made of.
@@ -60,7 +57,7 @@ pub enum MaterialError {
     /// No such name.
     #[error(
         "no material '{0}': write a name of models/materials/abc.json (as {1}), lambert, lambert:ALBEDO, \
-             rough:SIGMA, ggx:ALPHA or ggx:ALPHA:F0"
+             ggx:ALPHA or ggx:ALPHA:F0"
     )]
     Unknown(String, String),
     /// A number is out of range.
@@ -133,8 +130,6 @@ impl<R: Real> Directions<R> {
 pub struct Lit<R> {
     directions: Directions<R>,
     kd: [f32; 3],
-    /// Where it is not Lambert's.
-    diffuse: Option<Diffuse>,
     lobe: Lobe<R>,
 }
 
@@ -148,28 +143,17 @@ enum Lobe<R> {
 }
 
 impl Material {
-    /// Some material: half of the time one of the `measured` ones, else plaster, plastic, paint, glaze, metallic paint or metal.
+    /// Some material: half of the time one of the `measured` ones, else Lambert, plastic, paint, glaze, metallic paint or metal.
     #[must_use]
     pub fn any(rng: &mut Rng, measured: &[Self]) -> Self {
-        Self::drawn(rng, measured, |_| Diffuse::LAMBERT)
-    }
-
-    /// The same; what is not measured scatters light in some way that need not be Lambert's.
-    #[must_use]
-    pub fn any_diffusing(rng: &mut Rng, measured: &[Self]) -> Self {
-        Self::drawn(rng, measured, Diffuse::any)
-    }
-
-    fn drawn(rng: &mut Rng, measured: &[Self], diffuse: impl FnOnce(&mut Rng) -> Diffuse) -> Self {
         let kind = rng.uniform();
         if kind < 0.5 && !measured.is_empty() {
             return measured[rng.below(measured.len())].clone();
         }
-        let diffuse = diffuse(rng);
-        let (kd, f0, alpha) = if kind < 0.55 {
-            // Plaster, clay.
-            (rng.range(0.05, 1.0), 0.0, 1.0)
-        } else if kind < 0.8 {
+        if kind < 0.55 {
+            return Self::Lambert([rng.range(0.05, 1.0); 3]);
+        }
+        let (kd, f0, alpha) = if kind < 0.8 {
             // Plastic, paint, glaze.
             (rng.range(0.02, 0.9), rng.range(0.02, 0.15), rng.range(0.04, 0.7))
         } else if kind < 0.9 {
@@ -178,7 +162,7 @@ impl Material {
         } else {
             (rng.range(0.0, 0.05), rng.range(0.4, 1.0), rng.range(0.1, 0.6))
         };
-        Self::Ggx(Ggx { kd: [kd; 3], f0: [f0; 3], alpha, diffuse })
+        Self::Ggx(Ggx { kd: [kd; 3], f0: [f0; 3], alpha })
     }
 
     /// The material under a light.
@@ -198,11 +182,7 @@ impl Material {
                 (m.kd, if m.f0 == [0.0; 3] { Lobe::None } else { lobe })
             }
         };
-        let diffuse = match self {
-            Self::Ggx(m) if m.diffuse != Diffuse::LAMBERT => Some(m.diffuse),
-            _ => None,
-        };
-        Lit { directions: *directions, kd, diffuse, lobe }
+        Lit { directions: *directions, kd, lobe }
     }
 
     /// `π f max(n·l, 0)` for unit vectors: normal, light, viewer. RGB; 0 where light or viewer are behind.
@@ -228,7 +208,6 @@ impl Material {
             Self::Lambert([r, g, b]) if r == g && g == b => format!("lambert:{r}"),
             Self::Lambert([r, g, b]) => format!("lambert:{r},{g},{b}"),
             Self::Abc(m) => m.name.clone(),
-            Self::Ggx(m) if m.f0 == [0.0; 3] => format!("rough:{}", m.diffuse.roughness),
             Self::Ggx(m) => format!("ggx:{}:{}", m.alpha, m.f0[1]),
         }
     }
@@ -246,11 +225,7 @@ impl<R: Real> Lit<R> {
             return [R::of(0.0); 3];
         }
         let kd = &self.kd;
-        let scattered = match self.diffuse {
-            Some(diffuse) => cos_i * diffuse.factor(cos_i, cos_o, d.light.dot(d.view)),
-            None => cos_i,
-        };
-        let diffuse = [0, 1, 2].map(|c| scattered * (kd[c] * tint[c]));
+        let diffuse = [cos_i * (kd[0] * tint[0]), cos_i * (kd[1] * tint[1]), cos_i * (kd[2] * tint[2])];
         let (colour, shape) = match self.lobe {
             Lobe::None => return diffuse,
             Lobe::Abc(colour, b, minus_c) => {
@@ -305,14 +280,10 @@ impl std::str::FromStr for Material {
         match parts[..] {
             ["lambert"] => Ok(Self::Lambert([1.0; 3])),
             ["lambert", albedo] => Ok(Self::Lambert([number(albedo, "the albedo", 0.0, 1.0)?; 3])),
-            ["rough", sigma] => {
-                let diffuse = Diffuse { roughness: number(sigma, "sigma", 0.0, 1.0)?, coat: 0.0 };
-                Ok(Self::Ggx(Ggx { kd: [1.0; 3], f0: [0.0; 3], alpha: 1.0, diffuse }))
-            }
             ["ggx", alpha] | ["ggx", alpha, _] => {
                 let f0 = parts.get(2).map_or(Ok(1.0), |f0| number(f0, "F0", 0.0, 1.0))?;
                 let alpha = number(alpha, "alpha", 0.0, 1.0)?;
-                Ok(Self::Ggx(Ggx { kd: [0.0; 3], f0: [f0; 3], alpha, diffuse: Diffuse::LAMBERT }))
+                Ok(Self::Ggx(Ggx { kd: [0.0; 3], f0: [f0; 3], alpha }))
             }
             _ => Err(unknown()),
         }
@@ -364,10 +335,7 @@ mod tests {
         let mut all: Vec<Material> = Abc::all().iter().cloned().map(Material::Abc).collect();
         all.push(Material::Lambert([1.0; 3]));
         for alpha in [0.05, 0.2, 0.5, 1.0] {
-            all.push(Material::Ggx(Ggx { kd: [0.0; 3], f0: [1.0; 3], alpha, diffuse: Diffuse::LAMBERT }));
-        }
-        for diffuse in [Diffuse { roughness: 0.7, coat: 0.0 }, Diffuse { roughness: 0.0, coat: 1.0 }] {
-            all.push(Material::Ggx(Ggx { kd: [1.0; 3], f0: [0.0; 3], alpha: 1.0, diffuse }));
+            all.push(Material::Ggx(Ggx { kd: [0.0; 3], f0: [1.0; 3], alpha }));
         }
         let mut over = Vec::new();
         for m in &all {
@@ -412,7 +380,7 @@ mod tests {
     fn lobes_are_reciprocal() {
         // f(l, v) = f(v, l): shade divides by the cosine that changes roles.
         let (l, v) = (from_azimuth_slant(0.2, 0.5), from_azimuth_slant(2.0, 1.0));
-        for m in ["brass", "red-plastic", "white-fabric", "ggx:0.3", "rough:0.5"] {
+        for m in ["brass", "red-plastic", "white-fabric", "ggx:0.3"] {
             let m: Material = m.parse().unwrap();
             let (a, b) = (m.shade(Vec3::Z, l, v)[0] / l.z, m.shade(Vec3::Z, v, l)[0] / v.z);
             assert!((a - b).abs() < 1e-4 * a.abs(), "{} {a} {b}", m.name());
@@ -423,11 +391,8 @@ mod tests {
     fn gradients_match_finite_differences() {
         let n = from_azimuth_slant(0.9, 0.5);
         let step = 1e-3f32;
-        let diffuse = Diffuse { roughness: 0.4, coat: 0.7 };
-        let named = ["red-plastic", "teflon", "nickel", "ggx:0.4:0.6", "rough:0.4", "lambert:0.7"];
-        let mut all = named.map(|m| m.parse::<Material>().unwrap()).to_vec();
-        all.push(Material::Ggx(Ggx { kd: [0.7; 3], f0: [0.1; 3], alpha: 0.4, diffuse }));
-        for m in all {
+        for m in ["red-plastic", "teflon", "nickel", "ggx:0.4:0.6", "lambert:0.7"] {
+            let m: Material = m.parse().unwrap();
             for l in crate::light::fibonacci_cap(40, 1.2) {
                 if n.dot(l) < 0.05 {
                     continue;
@@ -447,12 +412,10 @@ mod tests {
     #[test]
     fn names_are_read_and_refused() {
         assert_eq!(Abc::all().len(), 100);
-        for good in ["lambert", "lambert:0.5", "rough:0.4", "ggx:0.2", "ggx:0.2:0.9", "brass"] {
+        for good in ["lambert", "lambert:0.5", "ggx:0.2", "ggx:0.2:0.9", "brass"] {
             assert!(good.parse::<Material>().is_ok(), "{good}");
         }
-        for bad in
-            ["", "brass ", "lambert:2", "lambert:nan", "ggx", "ggx:0", "ggx:0.1:7", "ggx:0.1:1:1", "rough:2"]
-        {
+        for bad in ["", "brass ", "lambert:2", "lambert:nan", "ggx", "ggx:0", "ggx:0.1:7", "ggx:0.1:1:1"] {
             assert!(bad.parse::<Material>().is_err(), "{bad}");
         }
     }

@@ -6,7 +6,6 @@
 //! light direction. How, and how exactly: docs/rendering.md.
 
 pub mod capture;
-pub mod diffuse;
 pub mod finish;
 pub mod horizon;
 pub mod material;
@@ -21,7 +20,6 @@ pub mod view;
 pub mod worlds;
 
 pub use capture::Capture;
-pub use diffuse::Diffuse;
 pub use finish::Finish;
 pub use horizon::Horizon;
 pub use material::{Abc, Ggx, Material};

@@ -158,13 +158,6 @@ pub fn any_finish(split: Split, rng: &mut Rng) -> Finish {
     finish_of(rng, |rng| Material::any(rng, &measured))
 }
 
-/// The same of any material that scatters light in any way.
-#[must_use]
-pub fn any_diffusing_finish(split: Split, rng: &mut Rng) -> Finish {
-    let measured = split.measured();
-    finish_of(rng, |rng| Material::any_diffusing(rng, &measured))
-}
-
 fn finish_of(rng: &mut Rng, draw: impl Fn(&mut Rng) -> Material) -> Finish {
     let material = draw(rng);
     let patches = (rng.uniform() < 0.25).then(|| (draw(rng), rng.next_u64()));

@@ -32,7 +32,7 @@ pub struct Args {
     /// x,y,z (repeatable).
     #[arg(long, default_value = "fibonacci:100", allow_hyphen_values = true)]
     lights: Vec<String>,
-    /// Material: a name of models/materials/abc.json, lambert:ALBEDO, rough:SIGMA, ggx:ALPHA:F0, or random (a training material, perhaps
+    /// Material: a name of models/materials/abc.json, lambert:ALBEDO, ggx:ALPHA:F0, or random (a training material, perhaps
     /// with patches and texture). Not for worlds-…, which have their own.
     #[arg(long)]
     material: Option<String>,
