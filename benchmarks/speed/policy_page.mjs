@@ -1,5 +1,5 @@
 // A step of the policy in Chromium, one thread: our module (tract) and onnxruntime-web on the same files, in turn in the same run.
-// Ours makes the frame of the picture too; onnxruntime is given it. The directions are compared as well. Needs the built page with its policy module: `./dev wasm`, `npm ci` in www/ and in
+// The directions are compared as well. Needs the built page with its policy module: `./dev wasm`, `npm ci` in www/ and in
 // benchmarks/, then `node benchmarks/speed/policy_page.mjs [MODEL]` (default compact).
 
 import { readFile } from "node:fs/promises";
@@ -41,6 +41,7 @@ const { ours, theirs, apart } = await page.evaluate(async ({ encoder, step, sequ
     const caches = Object.fromEntries(["keys", "values"].filter(name => name in shapes)
       .map(name => [name, new Float32Array(shapes[name].reduce((a, b) => a * b))]));
     let light = new Float32Array([0, 0, 1]);
+    let white = 0;
     for (let i = 0; i < steps; i += 1) {
       // A smooth picture with some noise; a mask of side × side pixels, so that the frame is the picture itself.
       const [kx, ky] = [3 * random(), 3 * random()];
@@ -48,12 +49,17 @@ const { ours, theirs, apart } = await page.evaluate(async ({ encoder, step, sequ
         const p = Math.floor(j / 3);
         return 0.5 + 0.4 * Math.sin(kx * (p % side) / side + ky * Math.floor(p / side) / side) + 0.1 * random();
       });
+      if (!white) {
+        const grey = Float32Array.from({ length: cells }, (_, p) => (rgb[3 * p] + rgb[3 * p + 1] + rgb[3 * p + 2]) / 3).sort();
+        white = grey[Math.floor((cells - 1) * 99 / 100)];
+      }
       let start = performance.now();
       const next = runner.observe(light, rgb);
       ours[i].push(performance.now() - start);
 
-      const frame = runner.frame();
       start = performance.now();
+      const frame = new Float32Array(3 * cells);
+      for (let p = 0; p < cells; p += 1) for (let c = 0; c < 3; c += 1) frame[c * cells + p] = Math.min(2, rgb[3 * p + c] / white);
       const { features } = await first.run({ frame: new ort.Tensor("float32", frame, [1, 3, side, side]) }, ["features"]);
       const inputs = { features, light: new ort.Tensor("float32", light, [1, 3]), reach: new ort.Tensor("float32", [1], [1, 1]) };
       if ("lights" in shapes) inputs.lights = new ort.Tensor("int64", [BigInt(steps)], [1]);

@@ -30,9 +30,6 @@ const PIXELS: usize = 48;
 /// Share of the rendered objects that are of validation materials: solvers that were trained or tuned on the training
 /// materials do better there than on others.
 const VALIDATION_SHARE: f32 = 0.4;
-/// Share of the rendered objects that are of any material that scatters light in any way: the measured ones' diffuse light
-/// is Lambert's, by their model.
-const ANY_SHARE: f32 = 0.5;
 /// The first validation objects are left to be looked at.
 const FIRST_VALIDATION: usize = 1000;
 /// Share of the rigs whose light is collimated, and half width of the object in units of the nearest light's distance.
@@ -41,6 +38,8 @@ const NEAREST: f32 = 0.08;
 /// Smallest error, degrees: rounding is nothing to learn from.
 const LEAST: f32 = 0.02;
 
+/// Sets of random lights under which each object is seen.
+const RANDOM: usize = 3;
 /// Planners whose lights the pictures of an object are taken under beside random ones: an adaptive planner leaves errors that no fixed set
 /// leaves. [`LEARNED`] twice, over the whole hemisphere and within a limited reach.
 const PLANNED: [&str; 4] = ["dc05", "tk22", "lipids", "ring"];
@@ -75,20 +74,16 @@ fn rendered(
 ) -> Result<Vec<Pixels>, String> {
     let mut rng = Rng::stream(0x6a7564, number as u64);
     let validation = rng.uniform() < VALIDATION_SHARE;
-    let mut object = if validation {
+    let object = if validation {
         worlds::validation(1, FIRST_VALIDATION + number)
     } else {
         worlds::training(1, number)
     };
-    if rng.uniform() < ANY_SHARE {
-        let split = if validation { Split::Validation } else { Split::Train };
-        object.finish = worlds::any_diffusing_finish(split, &mut rng);
-    }
     let scene =
         object.scene(&Options { size, ..Options::default() }).map_err(|e| format!("{}: {e}", object.name))?;
     let camera = SceneCamera::real(&scene, Tolerances::any(&mut rng, COLLIMATED, NEAREST), number as u64);
     let truth = scene.truth();
-    let mut sets = vec![random(&mut rng, 10), random(&mut rng, 10)];
+    let mut sets: Vec<_> = (0..RANDOM).map(|_| random(&mut rng, 10)).collect();
     let reach = rng.range(SHORTEST_REACH, FRAC_PI_2);
     let name = match PLANNED[rng.below(PLANNED.len())] {
         "ring" => format!("ring:{}", 10 + rng.below(50)),
@@ -363,6 +358,32 @@ mod tests {
             Sample { cues, degrees: mean * rng.range(0.2, 1.8) }
         };
         (0..groups).map(|_| (0..PIXELS).map(|_| one()).collect()).collect()
+    }
+
+    /// Stands for the learned planner.
+    struct Ring;
+
+    impl Learned for Ring {
+        fn planner(&self, name: &str, _: Vec3) -> Option<Box<dyn planner::Planner>> {
+            (name == LEARNED)
+                .then(|| Box::new(planner::fixed::FixedSet::new(crate::light::ring(10, 0.3, 0.0))) as _)
+        }
+    }
+
+    #[test]
+    fn objects_are_seen_under_the_lights_of_planners_too() {
+        let sets = rendered(&Generator::new(Split::Train), 0, 24, &Ring).unwrap();
+        assert_eq!(sets.len(), RANDOM + 4 + 3);
+        let learned = sets.iter().filter(|s| s.lights.iter().all(|l| (l.z - 0.3f32.cos()).abs() < 1e-3));
+        assert_eq!(learned.count(), 2);
+        assert!(sets.iter().all(|s| s.images.len() == s.lights.len() && s.normals.len() == PIXELS));
+        struct Nothing;
+        impl Learned for Nothing {
+            fn planner(&self, _: &str, _: Vec3) -> Option<Box<dyn planner::Planner>> {
+                None
+            }
+        }
+        assert!(pixels(1, 24, &Nothing).unwrap_err().starts_with("coil: "));
     }
 
     #[test]

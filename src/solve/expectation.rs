@@ -15,7 +15,7 @@ use std::sync::LazyLock;
 /// Number of values that describe a pixel and its normal.
 pub const CUES: usize = 22;
 /// Width of the two layers.
-pub const WIDTH: usize = 16;
+pub const WIDTH: usize = 24;
 /// Number of weights.
 pub const WEIGHTS: usize = CUES * WIDTH + WIDTH + WIDTH * WIDTH + WIDTH + WIDTH + 1;
 

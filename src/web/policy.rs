@@ -92,11 +92,6 @@ impl PolicyRunner {
         Ok(next.to_array().to_vec())
     }
 
-    /// The newest frame as the network took it, 3 × input × input numbers: for who runs the same files elsewhere.
-    pub fn frame(&self) -> Option<Vec<f32>> {
-        Some(self.run.as_ref()?.frame().to_vec())
-    }
-
     /// The gate of the newest picture, `input × input` numbers in 0..1 (1: trusted), over the square around the mask;
     /// undefined for a network without gate or before the first picture.
     #[wasm_bindgen(unchecked_return_type = "Float32Array | undefined")]
