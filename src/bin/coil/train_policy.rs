@@ -410,7 +410,9 @@ fn begin_from(from: &Path, recipe: Recipe) -> anyhow::Result<Trainer> {
         let other = resume(from)?;
         other.best.as_ref().map_or_else(|| other.judged().clone(), |best| best.0.clone())
     } else {
-        import::import(&model::read(from)?).with_context(|| from.display().to_string())?
+        let neither = || format!("{}: neither a run (checkpoint) nor a model", from.display());
+        import::import(&model::read(from).with_context(neither)?)
+            .with_context(|| from.display().to_string())?
     };
     // The folder's name, not where it lies: a recipe is passed on.
     let name = fs::canonicalize(from)?.file_name().map(|name| name.to_string_lossy().into_owned());
