@@ -103,8 +103,7 @@ fn rendered(
     let mut out = Vec::new();
     for lights in sets {
         let some: Vec<u32> = (0..PIXELS).map(|_| rng.below(truth.len()) as u32).collect();
-        let take = |&l: &Vec3| camera.capture(l, &[]).map(|o| o.grey).map_err(|e| e.to_string());
-        let images = lights.iter().map(take).collect::<Result<Vec<_>, _>>()?;
+        let images = pictures(&camera, &lights)?;
         let images = images.iter().map(Vec::as_slice).collect();
         let whole = Measurements { lights, images, saturation: None };
         let images = Piece::of(&whole, &some).images;
@@ -112,6 +111,11 @@ fn rendered(
         out.push(Pixels { lights: whole.lights, images, normals, saturation: None });
     }
     Ok(out)
+}
+
+/// Grey values of the pictures under these lights.
+fn pictures(camera: &dyn Camera, lights: &[Vec3]) -> Result<Vec<Vec<f32>>, String> {
+    lights.iter().map(|&l| camera.capture(l, &[]).map(|o| o.grey).map_err(|e| e.to_string())).collect()
 }
 
 /// The lights that a planner asks for, of slants up to `reach` (radians).
@@ -288,8 +292,7 @@ pub fn checks(
             .iter()
             .map(|&(_, name)| {
                 let lights = planned(&camera, name, 10, FRAC_PI_2, number as u64, learned)?;
-                let take = |&l: &Vec3| camera.capture(l, &[]).map(|o| o.grey).map_err(|e| e.to_string());
-                let images = lights.iter().map(take).collect::<Result<_, String>>()?;
+                let images = pictures(&camera, &lights)?;
                 Ok(Pixels { lights, images, normals: scene.truth().to_vec(), saturation: None })
             })
             .collect::<Result<Vec<_>, String>>()
