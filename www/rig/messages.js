@@ -44,7 +44,7 @@
  *   | { name: "raw", line: string }} Order
  *
  * @typedef {object} Calls
- * @property {{ body: { arm: string | null }, reply: { limits: number[], session: Stored | null, folder: FileSystemDirectoryHandle | null } }} start
+ * @property {{ body: { arm: string | null, pace: number }, reply: { limits: number[], session: Stored | null, folder: FileSystemDirectoryHandle | null } }} start
  *   folder: where the session lay, before a reload
  * @property {{ body: { rig: MessagePort | null }, reply: void }} connect without a port: the simulated arm
  * @property {{ body: {}, reply: void }} disconnect

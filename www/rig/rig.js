@@ -17,6 +17,12 @@ const ASKEW = /** @type {[number, number, number, number]} */ ([4, -2, 1.5, -1])
 const ARM_KEY = "coil-ps.arm";
 const MARKS = /** @type {Record<string, string>} */ ({ sent: ">", received: "<", note: "#", failed: "!" });
 
+/** How many times as fast as a real one the simulated arm is: `?pace=4` in the page's address. */
+function pace() {
+  const given = Number(new URLSearchParams(location.search).get("pace"));
+  return given >= 1 && given <= 20 ? given : 1;
+}
+
 /**
  * @param {HTMLElement} root
  * @param {import("../main.js").Page} page
@@ -525,7 +531,7 @@ export async function mount(root, page) {
   addEventListener("pagehide", () => { host?.close(); webcam.close(); });
 
   if (serial()) portWorker = new Worker(new URL("port-worker.js", import.meta.url), { type: "module", name: "coil-ps-port" });
-  const { limits, session, folder } = await client.call("start", { arm: localStorage.getItem(ARM_KEY) });
+  const { limits, session, folder } = await client.call("start", { arm: localStorage.getItem(ARM_KEY), pace: pace() });
   if (localStorage.getItem(ARM_KEY)) {
     $(".rig-fit").hidden = false;
     $(".rig-fitted").textContent = "The arm goes by the fit of an earlier session.";

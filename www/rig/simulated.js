@@ -12,9 +12,18 @@ export class SimulatedPort {
   /** @type {ReturnType<typeof setTimeout> | undefined} */
   #timer;
 
-  /** @param {"guide" | "stock"} [kind] */
-  constructor(kind = "guide") {
+  /** @type {number} */
+  #pace;
+
+  /** @param {"guide" | "stock"} [kind] @param {number} [pace] how many times as fast as a real board it is */
+  constructor(kind = "guide", pace = 1) {
     this.board = new SimulatedBoard(kind);
+    this.#pace = pace;
+  }
+
+  /** The board's time. */
+  #now() {
+    return performance.now() * this.#pace;
   }
 
   getInfo() {
@@ -23,14 +32,14 @@ export class SimulatedPort {
 
   async open() {
     if (this.readable) throw new DOMException("The port is already open.", "InvalidStateError");
-    this.board.open(performance.now());
+    this.board.open(this.#now());
     this.readable = new ReadableStream({
       start: controller => { this.#controller = controller; },
       cancel: () => { this.#controller = null; },
     });
     this.writable = new WritableStream({
       write: bytes => {
-        this.board.write(performance.now(), bytes);
+        this.board.write(this.#now(), bytes);
         this.#pump();
       },
     });
@@ -40,15 +49,15 @@ export class SimulatedPort {
   #pump = () => {
     clearTimeout(this.#timer);
     if (!this.readable) return;
-    const bytes = this.board.read(performance.now());
+    const bytes = this.board.read(this.#now());
     if (bytes.length) this.#controller?.enqueue(bytes);
-    const wait = Math.min((this.board.next() ?? Infinity) - performance.now(), 20);
+    const wait = Math.min(((this.board.next() ?? Infinity) - this.#now()) / this.#pace, 20);
     this.#timer = setTimeout(this.#pump, Math.max(wait, 1));
   };
 
   async close() {
     clearTimeout(this.#timer);
-    if (this.readable) this.board.close(performance.now());
+    if (this.readable) this.board.close(this.#now());
     this.readable = this.writable = null;
   }
 
@@ -57,7 +66,7 @@ export class SimulatedPort {
     clearTimeout(this.#timer);
     const controller = this.#controller;
     this.readable = this.writable = this.#controller = null;
-    this.board.close(performance.now());
+    this.board.close(this.#now());
     controller?.error(new DOMException("The device has been lost.", "NetworkError"));
   }
 }

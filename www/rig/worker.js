@@ -42,6 +42,8 @@ let makeLine = null;
 let line = null;
 /** @type {SimulatedPort | null} */
 let simulated = null;
+/** How many times as fast as a real one it is. */
+let pace = 1;
 /** @type {MessagePort | null} */
 let channel = null;
 let wanted = false; // the user wants to be connected
@@ -425,7 +427,8 @@ function needed(value, otherwise) {
 
 /** @type {{ [K in Kind]: (body: Calls[K]["body"]) => Promise<Calls[K]["reply"]> | Calls[K]["reply"] }} */
 const answers = {
-  async start({ arm }) {
+  async start({ arm, pace: given }) {
+    pace = given;
     rig = new lib.Rig();
     if (arm) rig.configureArm(arm);
     show();
@@ -437,7 +440,7 @@ const answers = {
     channel = port;
     if (port) makeLine = events => remote(port, events);
     else {
-      const board = simulated = new SimulatedPort();
+      const board = simulated = new SimulatedPort("guide", pace);
       makeLine = events => new Port(board, events);
     }
     wanted = true;
