@@ -566,4 +566,44 @@ mod tests {
             assert!(moved as f64 > 0.9 * total, "{moved} of {total} parameters have a gradient");
         }
     }
+
+    /// On a card, or Mesa's software Vulkan where there is none: `cargo test --release --features train-wgpu card`.
+    #[cfg(feature = "train-wgpu")]
+    #[test]
+    fn a_card_gives_the_directions_and_gradients_of_the_cpu() {
+        use crate::train::compute::{Compute, Processor};
+        let card = Compute::new(Processor::Wgpu, 1).unwrap().device.autodiff();
+        for config in ablations(Config::compact()) {
+            let weights = Weights::new(&config, 11);
+            let input = random(&config, 10, 12);
+            let run = |device: &Device| {
+                let net = Network::new(&weights, device);
+                let s = config.input;
+                let mut sequence = net.start(10);
+                let mut directions = Vec::new();
+                let mut sum = tensor(vec![0.0], [1], device);
+                for i in 0..10 {
+                    let frame = input.frames[i * 3 * s * s..(i + 1) * 3 * s * s].to_vec();
+                    let d = sequence.step(
+                        tensor(frame, [1, 3, s, s], device),
+                        tensor(input.lights[3 * i..3 * i + 3].to_vec(), [1, 3], device),
+                        tensor(vec![0.7], [1, 1], device),
+                    );
+                    directions.extend(values(d.clone()));
+                    sum = sum + (d * tensor(vec![1.0, -2.0, 0.5], [1, 3], device)).sum();
+                }
+                (directions, net.gradients(sum.backward()).concat())
+            };
+            let (expected, expected_gradient) = run(&Device::flex().autodiff());
+            let (directions, gradient) = run(&card);
+            for (a, b) in directions.iter().zip(&expected) {
+                assert!((a - b).abs() < 1e-4, "{a} {b}");
+            }
+            let length = |g: &[f32]| g.iter().map(|v| v * v).sum::<f32>().sqrt();
+            let off: Vec<f32> = gradient.iter().zip(&expected_gradient).map(|(a, b)| a - b).collect();
+            let share = length(&off) / length(&expected_gradient);
+            assert!(share < 1e-3, "gradients are {share} of their length apart");
+            println!("gradients {share:.1e} of their length apart");
+        }
+    }
 }
