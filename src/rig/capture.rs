@@ -373,7 +373,8 @@ impl<'a> Capture<'a> {
                 self.timings.r#move = (now.saturating_sub(since)).as_secs_f64();
                 Stage::Settling {
                     plan,
-                    until: now + Duration::from_secs_f64(self.options.settle.clamp(0.0, 60.0)),
+                    until: now
+                        + Duration::try_from_secs_f64(self.options.settle.min(60.0)).unwrap_or_default(),
                 }
             }
             Stage::Shutter { plan, open: true, .. } => Stage::Exposing { plan, since: now },
@@ -603,7 +604,7 @@ impl<'a> Capture<'a> {
         {
             let homing = link.settings().get(&22).is_some_and(|v| *v != 0.0);
             if !homing {
-                self.stick(Stuck::Locked("it has no homing ($22=0) and its position is not known: put it to azimuth 0, slant 0, set the position there, and capture without homing".into()));
+                self.stick(Stuck::Locked("it has no homing ($22=0) and its position is not known: put it to azimuth 0, slant 0 by hand, there say “Here is 0°, 0°” in the page or switch the board off and on, and capture without homing".into()));
                 return self.next_stuck();
             }
             if !self.options.auto_home {

@@ -459,6 +459,15 @@ impl Rig {
         if wanted.exposures.is_empty() || wanted.exposures.iter().any(|e| !(*e > 0.0 && *e <= 60_000.0)) {
             return Err(fail("exposure times: one or more, above 0 and up to 60000 ms"));
         }
+        for (name, number) in [
+            ("largest slant", f64::from(wanted.reach)),
+            ("time to settle", wanted.settle),
+            ("brightness", wanted.brightness),
+        ] {
+            if !(number.is_finite() && number >= 0.0) {
+                return Err(fail(format!("{name}: {number} is not a number of at least 0")));
+            }
+        }
         let simulation = (wanted.camera == "sim").then(|| wanted.simulation()).transpose()?;
         let (crop, mask) = match (&simulation, &resumed, mask) {
             (Some(sim), ..) => {
