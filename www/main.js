@@ -53,6 +53,10 @@ page.engine.onCrash = error => page.problem(
   "Reload the page. It needs Chrome or Edge 123, Firefox 121, Safari 17.5, or newer.",
 );
 
+addEventListener("unhandledrejection", event => page.problem(
+  "Something went wrong", event.reason, "What was captured is stored. Reload the page, and tell us what you did.",
+));
+
 /** @type {Map<string, { tab: HTMLButtonElement, panel: HTMLElement, view: View, mounted: boolean }>} */
 const tabs = new Map();
 

@@ -39,13 +39,13 @@
  * @typedef {{ taken: number, lights: number, simulated: boolean }} Stored
  *
  * What the arm does; angles in degrees.
- * @typedef {"home" | "unlock" | "hold" | "resume" | "release" | "reset" | "jogCancel"} Plain
+ * @typedef {"home" | "unlock" | "here" | "hold" | "resume" | "release" | "reset" | "jogCancel"} Plain
  * @typedef {{ name: Plain } | { name: "goto" | "jog", azimuth: number, slant: number } | { name: "light", brightness: number }
  *   | { name: "raw", line: string }} Order
  *
  * @typedef {object} Calls
- * @property {{ body: { arm: string | null, pace: number }, reply: { limits: number[], session: Stored | null, folder: FileSystemDirectoryHandle | null } }} start
- *   folder: where the session lay, before a reload
+ * @property {{ body: { arm: string | null, pace: number }, reply: { limits: number[], fitted: boolean, session: Stored | null, folder: FileSystemDirectoryHandle | null } }} start
+ *   folder: where the session lay, before a reload; fitted: whether the arm goes by `arm`, which may be unreadable
  * @property {{ body: { rig: MessagePort | null }, reply: void }} connect without a port: the simulated arm
  * @property {{ body: {}, reply: void }} disconnect
  * @property {{ body: { sent: boolean }, reply: void }} stop sent: its bytes went out already
@@ -53,6 +53,7 @@
  * @property {{ body: { mode: "auto" | "one", settings: CaptureSettings, camera: Camera, stored: boolean }, reply: void }} begin
  *   stored: goes on with the stored session
  * @property {{ body: {}, reply: void }} pause
+ * @property {{ body: {}, reply: void }} discard deletes the session that this browser keeps
  * @property {{ body: { shot: Shot | null, reason: string }, reply: void }} exposed null: there is none, for that reason
  * @property {{ body: { shot: Shot, camera: Camera }, reply: Sketch }} look
  * @property {{ body: { stroke: Stroke }, reply: Sketch }} draw
@@ -74,7 +75,7 @@
  *
  * The arm and the capture, whenever something changed.
  * @typedef {{ type: "state", shown: Record<string, any>, said: Said[], findings: Said[] | null, wanted: boolean,
- *   mode: "idle" | "auto" | "one", progress: string | null, target: Direction | null,
+ *   mode: "idle" | "auto" | "one", preparing: boolean, progress: string | null, target: Direction | null,
  *   folder: string | null }} State
  *
  * What a light brought.

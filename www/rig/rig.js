@@ -37,6 +37,12 @@ export async function mount(root, page) {
   const $ = (/** @type {string} */ selector) => find(root, selector, HTMLElement);
   const input = (/** @type {string} */ selector) => find(root, selector, HTMLInputElement);
   const number = (/** @type {string} */ selector) => input(selector).valueAsNumber;
+  /** A number within its field's limits. @param {string} selector @param {string} name @param {boolean} [whole] */
+  function typed(selector, name, whole = false) {
+    const { valueAsNumber: value, min, max } = input(selector);
+    if (value >= Number(min) && value <= Number(max) && (!whole || Number.isInteger(value))) return value;
+    throw new Error(`${name}: a ${whole ? "whole " : ""}number from ${min} to ${max} is needed.`);
+  }
   const select = (/** @type {string} */ selector) => find(root, selector, HTMLSelectElement);
   const button = (/** @type {string} */ selector) => find(root, selector, HTMLButtonElement);
   const canvas = (/** @type {string} */ selector) => find(root, selector, HTMLCanvasElement);
@@ -139,8 +145,10 @@ export async function mount(root, page) {
     }
     if (s.phase === "stopped" && before !== "stopped") page.announce("Stopped");
     if (told.progress !== null) text(".rig-progress", told.progress);
-    button(".rig-pause").disabled = mode === "idle";
-    if (mode !== "idle") $(".rig-continue").hidden = true;
+    const busy = mode !== "idle" || told.preparing;
+    button(".rig-pause").disabled = !busy;
+    button(".rig-auto").disabled = button(".rig-next").disabled = busy;
+    if (busy) $(".rig-continue").hidden = $(".rig-discard").hidden = true;
     plot?.update({ light: s.direction, target: told.target, done: lights });
   }
 
@@ -244,6 +252,7 @@ export async function mount(root, page) {
 
   function stop() {
     const sent = host !== null && state?.shown.phase !== "closed";
+    given = [];
     // Straight to the port: two bytes, nothing before them and no worker to wait for.
     if (sent) host?.stop();
     $(".rig-ask").hidden = true;
@@ -281,14 +290,14 @@ export async function mount(root, page) {
       size: 96,
       planner: select(".rig-planner").value,
       solver: select(".rig-solver").value,
-      lights: number(".rig-lights"),
+      lights: typed(".rig-lights", "Lights", true),
       stop_at: number(".rig-stop-at") > 0 ? number(".rig-stop-at") : null,
-      seed: number(".rig-seed"),
-      reach: number(".rig-reach"),
+      seed: typed(".rig-seed", "Seed", true),
+      reach: typed(".rig-reach", "Largest slant"),
       nearby: number(".rig-nearby") > 0 ? number(".rig-nearby") : null,
       exposures: exposures(),
-      settle: number(".rig-settle"),
-      brightness: number(".rig-brightness"),
+      settle: typed(".rig-settle", "Time to settle"),
+      brightness: typed(".rig-brightness", "LED"),
       shutter: input(".rig-shutter").checked,
       dark: input(".rig-dark").checked,
       homing: input(".rig-homing").checked,
@@ -300,6 +309,7 @@ export async function mount(root, page) {
   /** @param {"auto" | "one"} mode @param {boolean} again whether the stored session goes on */
   async function begin(mode, again) {
     say("");
+    given = [];
     try {
       if (again && stored && !stored.simulated && select(".rig-camera").value === "sim") {
         throw new Error("This session was taken with a camera: choose it first, then continue.");
@@ -310,6 +320,8 @@ export async function mount(root, page) {
       await client.call("begin", { mode, settings: settings(), camera: camera(), stored: again });
     } catch (error) {
       failed(error);
+      offer(stored);
+      $(".rig-discard").hidden = /** @type {Error} */ (error).name !== "Unsaved";
     }
   }
 
@@ -331,13 +343,19 @@ export async function mount(root, page) {
         $(".rig-ask").hidden = false;
         button(".rig-give").focus();
         page.announce(`Images of ${what} are needed`);
-        await new Promise(resolve => { gave = () => resolve(null); });
+        await new Promise(resolve => {
+          gave = () => {
+            if (given.length <= count - index) return resolve(null);
+            say(`${given.length} images were chosen where ${what} needs ${count - index}: choose again.`);
+            given = [];
+          };
+        });
         $(".rig-ask").hidden = true;
       }
       const shot = await picture(milliseconds);
       await client.call("exposed", { shot, reason: "no image was given" }, shot && "bitmaps" in shot ? shot.bitmaps : []);
     } catch (error) {
-      await client.call("exposed", { shot: null, reason: explainCamera(error) });
+      await client.call("exposed", { shot: null, reason: explainCamera(error) }).catch(failed);
     }
   }
 
@@ -355,12 +373,20 @@ export async function mount(root, page) {
   }
 
   for (const control of root.querySelectorAll("[data-do]")) {
-    control.addEventListener("click", () => {
+    /** @returns {import("./messages.js").Order} */
+    const asked = () => {
       const name = /** @type {HTMLElement} */ (control).dataset.do ?? "";
-      if (name === "goto") return order({ name, azimuth: number(".rig-az"), slant: number(".rig-sl") });
-      if (name === "lightOn") return order({ name: "light", brightness: number(".rig-brightness") });
-      if (name === "lightOff") return order({ name: "light", brightness: 0 });
-      return order({ name: /** @type {import("./messages.js").Plain} */ (name) });
+      if (name === "goto") return { name, azimuth: typed(".rig-az", "Azimuth"), slant: typed(".rig-sl", "Slant") };
+      if (name === "lightOn") return { name: "light", brightness: typed(".rig-brightness", "LED") };
+      if (name === "lightOff") return { name: "light", brightness: 0 };
+      return { name: /** @type {import("./messages.js").Plain} */ (name) };
+    };
+    control.addEventListener("click", () => {
+      try {
+        return order(asked());
+      } catch (error) {
+        failed(error);
+      }
     });
   }
   for (const control of root.querySelectorAll("[data-jog]")) {
@@ -374,14 +400,27 @@ export async function mount(root, page) {
   document.addEventListener("keydown", event => {
     if (event.key === "Escape" && !root.hidden && state?.shown.phase !== "closed") stop();
   });
-  on(".rig-connect", () => state?.wanted || state && state.shown.phase !== "closed" ? client.call("disconnect", {}) : connect());
+  on(".rig-connect", () => state?.wanted || state && state.shown.phase !== "closed" ? client.call("disconnect", {}).catch(failed) : connect());
   on(".rig-auto", () => begin("auto", false));
   on(".rig-next", () => begin("one", false));
   on(".rig-give", async () => {
     given = await chooseImages() ?? [];
     if (given.length) gave();
   });
-  on(".rig-pause", () => { $(".rig-ask").hidden = true; return client.call("pause", {}); });
+  on(".rig-pause", () => {
+    $(".rig-ask").hidden = true;
+    given = [];
+    client.call("pause", {}).catch(failed);
+  });
+  on(".rig-discard", async () => {
+    try {
+      await client.call("discard", {});
+      $(".rig-discard").hidden = true;
+      button(".rig-auto").focus();
+    } catch (error) {
+      failed(error);
+    }
+  });
   on(".rig-continue", async () => {
     if (former && !await openFormer(former)) return;
     await begin("auto", true);
@@ -398,12 +437,17 @@ export async function mount(root, page) {
     if (relighting) return;
     relighting = true;
     const light = () => ({ azimuth: number(".rig-rel-az"), slant: number(".rig-rel-sl") });
-    for (let before = ""; before !== JSON.stringify(light());) {
-      before = JSON.stringify(light());
-      const picture = await client.call("relight", light());
-      if (picture) draw(canvas(".rig-relit"), picture);
+    try {
+      for (let before = ""; before !== JSON.stringify(light());) {
+        before = JSON.stringify(light());
+        const picture = await client.call("relight", light());
+        if (picture) draw(canvas(".rig-relit"), picture);
+      }
+    } catch (error) {
+      failed(error);
+    } finally {
+      relighting = false;
     }
-    relighting = false;
   }
   for (const range of [".rig-rel-az", ".rig-rel-sl"]) input(range).addEventListener("input", () => void relight());
 
@@ -415,7 +459,7 @@ export async function mount(root, page) {
     $(".rig-real").hidden = kind === "sim";
     $(".rig-watch").hidden = kind !== "folder";
     given = [];
-    if (kind === "webcam") void listCameras();
+    if (kind === "webcam") listCameras().catch(error => say(explainCamera(error)));
     else webcam.close();
   });
   async function listCameras() {
@@ -481,8 +525,12 @@ export async function mount(root, page) {
   });
   on(".rig-unfit", async () => {
     localStorage.removeItem(ARM_KEY);
-    await client.call("unfit", {});
-    $(".rig-fitted").textContent = "The arm is taken to stand as it is drawn.";
+    try {
+      await client.call("unfit", {});
+      $(".rig-fitted").textContent = "The arm is taken to stand as it is drawn.";
+    } catch (error) {
+      $(".rig-fitted").textContent = /** @type {Error} */ (error).message;
+    }
   });
   /** @param {FileSystemDirectoryHandle | null} folder */
   async function keep(folder) {
@@ -531,10 +579,13 @@ export async function mount(root, page) {
   addEventListener("pagehide", () => { host?.close(); webcam.close(); });
 
   if (serial()) portWorker = new Worker(new URL("port-worker.js", import.meta.url), { type: "module", name: "coil-ps-port" });
-  const { limits, session, folder } = await client.call("start", { arm: localStorage.getItem(ARM_KEY), pace: pace() });
+  const { limits, fitted, session, folder } = await client.call("start", { arm: localStorage.getItem(ARM_KEY), pace: pace() });
   if (localStorage.getItem(ARM_KEY)) {
     $(".rig-fit").hidden = false;
-    $(".rig-fitted").textContent = "The arm goes by the fit of an earlier session.";
+    $(".rig-fitted").textContent = fitted
+      ? "The arm goes by the fit of an earlier session."
+      : "The fit of an earlier session can't be read and was dropped: the arm is taken to stand as it is drawn. Fit it again.";
+    if (!fitted) localStorage.removeItem(ARM_KEY);
   }
   plot = new Plot(limits);
   $(".rig-dome").append(plot.element);

@@ -64,6 +64,12 @@ let target = null;
 let shotCame = null;
 /** Files of the watched folder that belong to no exposure still to come. @type {Set<string>} */
 let known = new Set();
+/** What loads while a capture is prepared; STOP, Pause and a lost port end it. @type {AbortController | null} */
+let preparing = null;
+/** Settings of the capture under way, to see whether others are asked for. */
+let begun = "";
+/** Whether what the browser keeps of the last capture is also elsewhere: in a zip or a folder of the user's. */
+let saved = false;
 /** A folder of the user's that the session is also saved to. @type {FileSystemDirectoryHandle | null} */
 let folder = null;
 
@@ -86,7 +92,7 @@ function show() {
   let findings = null;
   if (shown.phase === "ready" && phaseBefore !== "ready") findings = rig.findings();
   phaseBefore = shown.phase;
-  const told = { type: /** @type {const} */ ("state"), shown, said, findings, wanted, mode, progress, target, folder: folder?.name ?? null };
+  const told = { type: /** @type {const} */ ("state"), shown, said, findings, wanted, mode, preparing: preparing !== null, progress, target, folder: folder?.name ?? null };
   const text = JSON.stringify(told);
   if (text !== shownBefore) tell(told);
   shownBefore = text;
@@ -136,9 +142,12 @@ async function bringUpToDate(chosen) {
   if (theirs.isSame(ours) && ours.summary().taken > theirs.summary().taken) await copy(await ownFolder(), chosen);
 }
 
-/** The session there, its planner at hand: that may need the other build, which then reads it. @param {FileSystemDirectoryHandle} from */
-async function opened(from) {
-  await learn((await filesOf(from)).summary().planner);
+/**
+ * The session there, its planner at hand: that may need the other build, which then reads it.
+ * @param {FileSystemDirectoryHandle} from @param {AbortSignal} signal
+ */
+async function opened(from, signal) {
+  await learn((await filesOf(from)).summary().planner, signal);
   return filesOf(from);
 }
 
@@ -364,6 +373,7 @@ async function end(text, done) {
 }
 
 async function save() {
+  saved = false;
   const files = rig.takeFiles().map(file => {
     const { name, bytes } = file;
     file.free();
@@ -385,13 +395,14 @@ function withoutFolder(lostFolder, error) {
   return new Error(`The folder “${lostFolder.name}” can't be used any more (${/** @type {Error} */ (error).message}). Choose it again, or continue with what this browser has stored.`);
 }
 
-/** Lets this worker's rig plan with a network: the whole rig moves to the build that can run one. @param {string} planner */
-async function learn(planner) {
+/** Lets this worker's rig plan with a network: the whole rig moves to the build that can run one. @param {string} planner @param {AbortSignal} signal */
+async function learn(planner, signal) {
   if (!(planner in LEARNED)) return;
-  const signal = new AbortController().signal;
   const say = (/** @type {string} */ text) => { progress = text; show(); };
   if (!models) {
     const full = await loadFull(signal, say);
+    // The rig that was stopped meanwhile stays: a new one would not know of it.
+    signal.throwIfAborted();
     const drawn = mask?.pixels && { width: mask.width, height: mask.height, bytes: mask.bytes() };
     const arm = rig.armConfig();
     lib = full.lib;
@@ -419,6 +430,52 @@ function sketch() {
   return { picture, width: frame.width, height: frame.height, pixels: mask.pixels, level, quality };
 }
 
+/**
+ * Everything before the first light: the network, the session that goes on or the place for a new one.
+ * @param {import("./messages.js").CaptureSettings} settings @param {import("./messages.js").Camera} chosen
+ * @param {boolean} stored @param {AbortSignal} signal
+ */
+async function prepare(settings, chosen, stored, signal) {
+  const asked = JSON.stringify(settings);
+  if (capturing && !stored && asked === begun) {
+    camera = chosen;
+    return rig.retry();
+  }
+  if (!stored) await makeRoom();
+  const [own, from] = [await ownFolder(), await place()];
+  let files;
+  if (stored) {
+    if (folder && from === folder) await bringUpToDate(folder).catch(error => { throw withoutFolder(from, error); });
+    files = await opened(from, signal);
+  } else await learn(settings.planner, signal);
+  signal.throwIfAborted();
+  rig.startCapture(settings, mask?.pixels ? mask.copy() : undefined, files);
+  [camera, shutter, begun] = [chosen, settings.shutter, asked];
+  if (!stored || from === folder) await clear(own);
+  if (stored && folder) await (from === folder ? copy(folder, own) : copy(own, folder));
+  await remember(folder);
+  await save();
+  capturing = true;
+  tellTaken();
+}
+
+/** Nothing that a camera took is written over unasked; simulated pictures can be had again. */
+async function makeRoom() {
+  if (folder && await holdsSession(folder)) {
+    throw new Error(`“${folder.name}” holds a session: continue it, or choose another folder for the new one.`);
+  }
+  const own = await ownFolder();
+  if (saved || !await holdsSession(own)) return;
+  let what = "a session that can't be read";
+  try {
+    const { taken, lights, simulated } = (await filesOf(own)).summary();
+    if (simulated || !taken) return;
+    what = `a session of ${taken} of ${lights} lights`;
+  } catch { /* damaged: its images may still be of use */ }
+  const error = new Error(`This browser keeps ${what} that is nowhere else: continue it, download the zip, or discard it. Then begin anew.`);
+  throw Object.assign(error, { name: "Unsaved" });
+}
+
 /** @template T @param {T | null} value @param {string} otherwise @returns {T} */
 function needed(value, otherwise) {
   if (value === null) throw new Error(otherwise);
@@ -430,9 +487,14 @@ const answers = {
   async start({ arm, pace: given }) {
     pace = given;
     rig = new lib.Rig();
-    if (arm) rig.configureArm(arm);
+    let fitted = arm !== null;
+    try {
+      if (arm) rig.configureArm(arm);
+    } catch {
+      fitted = false; // of another version, or damaged: the arm is taken to stand as it is drawn
+    }
     show();
-    return { limits: [...rig.limits()], session: await storedSession(), folder: await remembered() };
+    return { limits: [...rig.limits()], fitted, session: await storedSession(), folder: await remembered() };
   },
 
   async connect({ rig: port }) {
@@ -457,6 +519,7 @@ const answers = {
   async disconnect() {
     wanted = false;
     mode = "idle";
+    preparing?.abort();
     const gone = line;
     line = null;
     clearTimeout(timer);
@@ -467,6 +530,7 @@ const answers = {
 
   stop({ sent }) {
     mode = "idle";
+    preparing?.abort();
     shotCame?.({ shot: null, reason: "stopped" });
     if (!line) return;
     rig.stop(now());
@@ -483,6 +547,7 @@ const answers = {
     else if (order.name === "jog") rig.jog(now(), order.azimuth, order.slant);
     else if (order.name === "light") rig.light(now(), order.brightness);
     else if (order.name === "raw") rig.raw(now(), order.line);
+    else if (order.name === "here") rig.setPosition(now(), 0, 0);
     else if (order.name === "home" || order.name === "unlock" || order.name === "release" || order.name === "reset") rig[order.name](now());
     else rig[order.name]();
     pump();
@@ -491,34 +556,40 @@ const answers = {
 
   async begin({ mode: next, settings, camera: chosen, stored }) {
     if (!line) throw new Error("Connect the arm first: the simulated one needs no hardware.");
-    camera = chosen;
-    shutter = settings.shutter;
-    if (stored || !capturing) {
-      if (!stored && folder && await holdsSession(folder)) {
-        throw new Error(`“${folder.name}” holds a session: continue it, or choose another folder for the new one.`);
-      }
-      const [own, from] = [await ownFolder(), await place()];
-      let files;
-      if (stored) {
-        if (folder && from === folder) await bringUpToDate(folder).catch(error => { throw withoutFolder(from, error); });
-        files = await opened(from);
-      } else await learn(settings.planner);
-      rig.startCapture(settings, mask?.pixels ? mask.copy() : undefined, files);
-      if (!stored || from === folder) await clear(own);
-      if (stored && folder) await (from === folder ? copy(folder, own) : copy(own, folder));
-      await remember(folder);
-      await save();
-      capturing = true;
-      tellTaken();
-    } else rig.retry();
+    if (preparing) throw new Error("A capture is being prepared: wait, or end that with Pause.");
+    const { signal } = preparing = new AbortController();
+    show();
+    try {
+      await prepare(settings, chosen, stored, signal);
+      signal.throwIfAborted();
+    } catch (error) {
+      throw signal.aborted ? new Error("Ended before the first light.") : error;
+    } finally {
+      preparing = null;
+      show();
+    }
+    if (!line) throw new Error("The arm was disconnected meanwhile: connect it, then go on.");
     mode = next;
     pump();
   },
 
   pause() {
+    preparing?.abort();
     shotCame?.({ shot: null, reason: "paused" });
     mode = "idle";
     progress = "Paused.";
+    show();
+  },
+
+  async discard() {
+    if (mode !== "idle" || preparing) throw new Error("Pause the capture first.");
+    if (folder && await place() === folder) throw new Error(`The session lies in “${folder.name}”, which this page doesn't delete: choose “Not to a folder”, or another one.`);
+    await clear(await ownFolder());
+    await remember(null);
+    capturing = false;
+    progress = "The stored session was discarded.";
+    rig.endCapture();
+    tell({ type: "ended", done: false, session: await storedSession() });
     show();
   },
 
@@ -583,7 +654,7 @@ const answers = {
         }
       } else {
         await bringUpToDate(chosen);
-        const files = await opened(chosen);
+        const files = await opened(chosen, new AbortController().signal);
         const { object, taken, lights, simulated: sim } = files.summary();
         rig.startCapture(settings, undefined, files);
         rig.takeFiles(); // nothing is written before it goes on
@@ -602,6 +673,7 @@ const answers = {
 
   async zip() {
     const files = await filesOf(await place());
+    saved = true;
     return /** @type {ArrayBuffer} */ (files.zip("session").buffer);
   },
 };

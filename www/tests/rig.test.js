@@ -101,6 +101,42 @@ test("ten lights with the simulated arm, a reload in between, nothing lost", asy
   }, false);
 });
 
+test("Stop while the network loads: no capture follows", async t => {
+  await withRig(async page => {
+    if (!await page.locator(".rig-planner option[value=coil]").count()) return t.skip("the module of the learned planner is not built");
+    let letGo = () => {};
+    const held = new Promise(resolve => { letGo = () => resolve(null); });
+    await page.route("**/models/compact/step.onnx", async route => { await held; await route.continue().catch(() => {}); });
+    await connect(page, "simulated");
+    await state(page, /Connected/);
+    await page.locator(".rig-planner").selectOption("coil");
+    await page.locator(".rig-auto").click();
+    await page.getByText("fetching the network of coil").waitFor({ timeout: 120_000 });
+    assert.ok(await page.locator(".rig-auto").isDisabled(), "one capture at a time");
+    await page.locator(".rig-stop").click();
+    await page.getByText("Ended before the first light.").waitFor();
+    letGo();
+    await state(page, /Stopped\. Release Stop/);
+    await page.waitForTimeout(1500);
+    assert.match(await page.locator(".rig-state").innerText(), /Stopped/);
+    assert.equal(await page.locator(".rd-state").innerText() === "Home", false);
+    assert.equal(await page.locator(".rig-table tbody tr").count(), 0);
+    assert.ok(await page.locator(".rig-auto").isEnabled());
+  }, false);
+});
+
+test("a fit that can't be read is dropped, and the view opens", async () => {
+  await withRig(async page => {
+    await page.evaluate(() => localStorage.setItem("coil-ps.arm", "{broken"));
+    await page.reload();
+    await page.getByRole("tab", { name: "Rig" }).click();
+    await page.getByText("The fit of an earlier session can't be read and was dropped").waitFor();
+    assert.equal(await page.evaluate(() => localStorage.getItem("coil-ps.arm")), null);
+    await connect(page, "simulated");
+    await state(page, /Connected/);
+  }, false);
+});
+
 test("without Web Serial the page says so, and the simulated arm is offered", async () => {
   await withRig(async page => {
     await page.evaluate(() => { delete (/** @type {any} */ (Navigator.prototype)).serial; });

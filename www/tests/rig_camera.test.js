@@ -147,10 +147,20 @@ test("images chosen for each light; the mask is drawn, the mirror sphere marked 
     await page.locator(".rig-exposures").fill("1, 4");
     await page.locator(".rig-lights").fill("3");
     await page.locator(".rig-auto").click();
+    await give("Choose the 2 images of light 1", [file, { ...file, name: "2.png" }, { ...file, name: "3.png" }]);
+    await page.getByText("3 images were chosen where light 1 needs 2: choose again.").waitFor();
     for (let k = 1; k <= 3; k += 1) await give(`Choose the 2 images of light ${k}`, [file, { ...file, name: "2.png" }]);
     await page.getByText("3 of 3 lights. Done.").waitFor({ timeout: 60_000 });
     // That highlight is nowhere near the arm: said, and not used.
     assert.match(await page.locator(".rig-notes").innerText(), /the mirror sphere shows a light \d+\.\d° from where the arm was sent/);
+    // What a camera took is not written over unasked.
+    await page.locator(".rig-auto").click();
+    await page.getByText("This browser keeps a session of 3 of 3 lights that is nowhere else").waitFor();
+    await page.getByRole("button", { name: "Discard it" }).click();
+    await page.getByText("The stored session was discarded.").waitFor();
+    await page.locator(".rig-auto").click();
+    await page.getByRole("button", { name: "Choose the 2 images of light 1" }).waitFor({ timeout: 60_000 });
+    await page.locator(".rig-pause").click();
   }, false);
 });
 
@@ -216,6 +226,29 @@ test("one light at a time; dark frame; nearby lights", async () => {
     await page.getByText("2 of 3 lights. Paused.").waitFor({ timeout: 60_000 });
     assert.match(await page.locator(".rig-budget").innerText(), /move \d+ ms, settle 300 ms, expose \d+ ms/);
     assert.match(await page.locator(".rig-lines").innerText(), /> M5[\s\S]*> M3S800/);
+  }, false);
+});
+
+test("what is missing or out of range is named before anything moves", async () => {
+  await withRig(async page => {
+    await connect(page, "simulated");
+    await state(page, /Connected/);
+    await page.getByText("Exposure and travel").click();
+    for (const [field, wrong, said] of [
+      [".rig-settle", "", "Time to settle: a number from 0 to 30 is needed."],
+      [".rig-lights", "3.5", "Lights: a whole number from 3 to 100 is needed."],
+      [".rig-reach", "120", "Largest slant: a number from 1 to 90 is needed."],
+    ]) {
+      const before = await page.locator(field).inputValue();
+      await page.locator(field).fill(wrong);
+      await page.locator(".rig-auto").click();
+      await page.getByText(said).waitFor();
+      await page.locator(field).fill(before);
+    }
+    await page.locator(".rig-az").fill("");
+    await page.getByRole("button", { name: "Go to" }).click();
+    await page.getByText("Azimuth: a number from -360 to 360 is needed.").waitFor();
+    assert.equal(await page.locator(".rd-state").innerText(), "Alarm", "not homed yet: nothing has moved");
   }, false);
 });
 
