@@ -327,6 +327,12 @@ impl Link {
         &self.version
     }
 
+    /// Whether the board can home (setting $22); false while its settings are not known.
+    #[must_use]
+    pub fn homes(&self) -> bool {
+        self.settings.get(&22).is_some_and(|v| *v != 0.0)
+    }
+
     /// The `$` settings read.
     #[must_use]
     pub fn settings(&self) -> &BTreeMap<u16, f64> {

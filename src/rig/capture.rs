@@ -602,8 +602,7 @@ impl<'a> Capture<'a> {
             || link.trust() == Trust::Lost
             || (self.options.auto_home && link.trust() != Trust::Homed)
         {
-            let homing = link.settings().get(&22).is_some_and(|v| *v != 0.0);
-            if !homing {
+            if !link.homes() {
                 self.stick(Stuck::Locked("it has no homing ($22=0) and its position is not known: put it to azimuth 0, slant 0 by hand, there say “Here is 0°, 0°” in the page or switch the board off and on, and capture without homing".into()));
                 return self.next_stuck();
             }

@@ -135,6 +135,8 @@ export async function mount(root, page) {
     text(".rd-azimuth", s.azimuth === null ? "–" : `${s.azimuth.toFixed(2)}°`);
     text(".rd-slant", s.slant === null ? "–" : `${s.slant.toFixed(2)}°`);
     text(".rd-trust", s.phase === "closed" ? "–" : { homed: "known, homed", assumed: "counted from where it was switched on", lost: "lost: home the arm" }[/** @type {"homed"} */ (s.trust)]);
+    // Never beside an arm that can home: pressed by mistake it would move the zero of its scale for good.
+    $("[data-do=here]").hidden = s.phase !== "ready" || s.homes;
     text(".rd-led", s.led === null ? "–" : s.led ? `S${s.led}` : "off");
     text(".rig-folder", told.folder === null ? "Save to a folder…" : `Also saved to “${told.folder}”`);
     $(".rig-no-folder").hidden = told.folder === null;

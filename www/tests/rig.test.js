@@ -101,6 +101,21 @@ test("ten lights with the simulated arm, a reload in between, nothing lost", asy
   }, false);
 });
 
+test("a board that can't home is told where it is; one that can is not asked", async () => {
+  await withRig(async page => {
+    const here = page.getByRole("button", { name: "Here is 0°, 0°" });
+    await page.evaluate(() => { /** @type {any} */ (window).rigTest.kind = "stock"; });
+    await connect(page, "choose");
+    await state(page, /Connected/);
+    await here.click();
+    await page.waitForFunction(() => /> G21G10L20P1X0\.000Y0\.000/.test(document.querySelector(".rig-lines")?.textContent ?? ""));
+    await page.getByRole("button", { name: "Disconnect" }).click();
+    await connect(page, "simulated");
+    await state(page, /Connected/);
+    assert.ok(await here.isHidden());
+  });
+});
+
 test("Stop while the network loads: no capture follows", async t => {
   await withRig(async page => {
     if (!await page.locator(".rig-planner option[value=coil]").count()) return t.skip("the module of the learned planner is not built");

@@ -15,7 +15,7 @@ after(async () => { await browser?.close(); site?.close(); });
 function standIn() {
   /** @type {any} */
   const w = window;
-  w.rigTest = { answer: "board", remembered: false, gone: false };
+  w.rigTest = { kind: "guide", answer: "board", remembered: false, gone: false };
   /** @type {any} */
   let port = null;
   const made = async () => {
@@ -23,7 +23,7 @@ function standIn() {
     const { default: init } = await import(new URL("pkg/core/coil_ps.js", document.baseURI).href);
     await init({ module_or_path: new URL("pkg/core/coil_ps_bg.wasm", document.baseURI) });
     const { SimulatedPort } = await import(new URL("rig/simulated.js", document.baseURI).href);
-    port = new SimulatedPort("guide");
+    port = new SimulatedPort(w.rigTest.kind);
     w.rigTest.port = port;
     const open = port.open.bind(port);
     port.open = async (/** @type {any} */ options) => {

@@ -187,7 +187,7 @@ fn status(rig: &Rig) -> anyhow::Result<ExitCode> {
 /// Homes where the firmware is locked: opening the port restarts most boards.
 fn ready(driver: &mut Driver, rig: &Rig) -> anyhow::Result<()> {
     let link = driver.link();
-    let homing = link.settings().get(&22).is_some_and(|v| *v != 0.0);
+    let homing = link.homes();
     if link.state() == Some(State::Alarm) || link.trust() == Trust::Lost {
         if rig.no_home || !homing {
             bail!(
