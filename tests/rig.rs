@@ -139,6 +139,21 @@ fn a_session_is_captured_kept_and_continued() {
     assert_eq!(record(&silent).shots.len(), 5);
 }
 
+#[test]
+fn the_light_is_out_however_it_ends() {
+    let at = folder("dark");
+    let out = at.join("session");
+    // The camera saves nothing.
+    let camera = format!("folder:{}", text(&at));
+    let log = bad(2, &["capture", "--camera", &camera, "--patience", "0.2", "--trace", "--out", text(&out)]);
+    assert!(log.contains("no new image in 0.2 s"), "{log}");
+    assert!(log.rfind("> M5") > log.rfind("> M3S800"), "{log}");
+    // Somebody presses hold and leaves: a held firmware takes no line.
+    let held = ["capture", "--size", "32", "-t", "5", "--fault", "holdforever@20", "--trace", "--out"];
+    let log = bad(3, &[&held[..], &[text(&at.join("held"))]].concat());
+    assert!(log.rfind("reset (Stop)") > log.rfind("> M3S800"), "{log}");
+}
+
 /// A camera that saves to a folder: it looks at a sphere under the light that the arm's last move names, and takes a
 /// bracket whenever the shutter line goes high. It knows the arm only from the lines that pass.
 #[test]

@@ -4,7 +4,7 @@ use crate::arm::{ArmArgs, Driver, PortArgs};
 use anyhow::{Context, bail};
 use coil_ps::arm::Joints;
 use coil_ps::arm::grbl::{Command, Phase, Trust};
-use coil_ps::arm::kinematics::{Mount, Severity, check_settings};
+use coil_ps::arm::kinematics::{Arm, Mount, Severity, check_settings};
 use coil_ps::arm::line::State;
 use coil_ps::camera::{Camera, Domain};
 use coil_ps::dataset::diligent::normals_mat;
@@ -384,9 +384,26 @@ fn bracket(args: &Args, driver: &mut Driver, source: &mut Source) -> anyhow::Res
     Ok(frames)
 }
 
-fn capture(args: &Args, mut source: Source, mask: Option<Mask>) -> anyhow::Result<ExitCode> {
-    let mut arm = args.arm.read()?;
+fn capture(args: &Args, source: Source, mask: Option<Mask>) -> anyhow::Result<ExitCode> {
+    let arm = args.arm.read()?;
     let mut driver = Driver::connect(&args.port)?;
+    let ended = session(args, &mut driver, arm, source, mask);
+    if matches!(ended, Ok(None)) {
+        return Ok(ExitCode::SUCCESS);
+    }
+    // A done capture has put it out itself. Any other end leaves nobody who would.
+    driver.light_off();
+    ended.map(|_| ExitCode::from(3))
+}
+
+/// The session proper: `None` where it is done.
+fn session(
+    args: &Args,
+    driver: &mut Driver,
+    mut arm: Arm,
+    mut source: Source,
+    mask: Option<Mask>,
+) -> anyhow::Result<Option<Stuck>> {
     let found = check_settings(driver.link().settings(), driver.link().work_offset(), &arm, args.brightness);
     for finding in &found {
         eprintln!(
@@ -408,12 +425,12 @@ fn capture(args: &Args, mut source: Source, mask: Option<Mask>) -> anyhow::Resul
         (_, _, Some(mask)) => mask,
         _ => {
             // A frontal light shows the whole object.
-            prepare(args, &mut driver)?;
+            prepare(args, driver)?;
             driver.execute(Command::Light(args.brightness))?;
             let front = light::from_azimuth_slant(0.0, (arm.limits.keep_out.max(1.0) as f32).to_radians());
             let plan = arm.plan(front, driver.link().joints().unwrap_or_default());
             driver.execute(Command::Goto { to: plan.joints, feed: arm.feed })?;
-            let mut frames = bracket(args, &mut driver, &mut source)?;
+            let mut frames = bracket(args, driver, &mut source)?;
             if let Some(crop) = args.crop {
                 for f in &mut frames {
                     f.image = crop.apply(&f.image)?;
@@ -511,13 +528,14 @@ fn capture(args: &Args, mut source: Source, mask: Option<Mask>) -> anyhow::Resul
             &[Write { name: "Normal_gt.mat".into(), bytes: normals_mat("Normal_gt", &mask, truth) }],
         )?;
     }
-    let ended = drive(args, &mut driver, &mut source, &mut capture, truth);
+    let ended = drive(args, driver, &mut source, &mut capture, truth);
     let last = Write {
         name: RECORD.into(),
         bytes: capture.record().writes().pop().map(|w| w.bytes).unwrap_or_default(),
     };
     write_files(&args.out, &[last])?;
-    match ended? {
+    let ended = ended?;
+    match &ended {
         None => {
             if let Ok(solution) = capture.session().solve(&*solve::by_name(&args.solver)?, args.lights) {
                 let bytes = normals_mat("Normal_est", &mask, &solution.normals);
@@ -525,15 +543,14 @@ fn capture(args: &Args, mut source: Source, mask: Option<Mask>) -> anyhow::Resul
             }
             budget(&capture);
             println!("{}: {} lights", args.out.display(), capture.session().seen().len());
-            Ok(ExitCode::SUCCESS)
         }
         Some(stuck) => {
             let taken = capture.session().seen().len();
             eprintln!("error: {stuck}");
             eprintln!("{taken} of {} lights are in {}; --resume goes on", args.lights, args.out.display());
-            Ok(ExitCode::from(3))
         }
     }
+    Ok(ended)
 }
 
 fn read_mask(path: &Path) -> anyhow::Result<Mask> {

@@ -231,9 +231,13 @@ impl Driver {
     /// # Errors
     /// [`Failure`] of the command.
     pub fn execute(&mut self, command: Command) -> Result<(), Failure> {
+        self.execute_until(command, Duration::MAX)
+    }
+
+    fn execute_until(&mut self, command: Command, end: Duration) -> Result<(), Failure> {
         let now = self.now();
         let ticket = self.link.send(now, command)?;
-        loop {
+        while self.now() <= end {
             if let Err(error) = self.pump() {
                 return Err(Failure::Disconnected(error.to_string()));
             }
@@ -245,6 +249,24 @@ impl Driver {
                 }
             }
             self.sleep(None);
+        }
+        Err(Failure::NoAnswer("the last command".into()))
+    }
+
+    /// Puts the LED out where something ended badly: as well as can be, without an error that would hide the first.
+    /// A closed port takes nothing; an alarm, a stop or a restart has put it out already.
+    pub fn light_off(&mut self) {
+        let end = self.now() + Duration::from_secs(3);
+        if let Err(Failure::NoAnswer(_)) = self.execute_until(Command::Light(0.0), end) {
+            // A held firmware answers no line. Its reset puts the LED out too.
+            self.stop();
+            let end = self.now() + Duration::from_secs(1);
+            while self.now() <= end && *self.link.phase() == Phase::Stopped(false) {
+                if self.pump().is_err() {
+                    return;
+                }
+                self.sleep(None);
+            }
         }
     }
 
