@@ -73,6 +73,15 @@ fn the_arm_tells_its_state_and_goes_where_it_is_sent() {
     assert!(sweep.contains("3 moves: "), "{sweep}");
     assert!(bad(2, &["arm", "goto", "400", "3"]).contains("-360 to 360"));
     assert!(bad(2, &["arm", "status", "--fault", "help"]).contains("garblesent"));
+    let config = folder("config").join("arm.json");
+    let status = |written: &str| {
+        std::fs::write(&config, written).unwrap();
+        bad(2, &["arm", "status", "--config", text(&config)])
+    };
+    let crossed =
+        r#"{"limits": {"azimuth": [180, -180], "slant": [-85, 85], "keep_out": 8, "may_cross": false}}"#;
+    assert!(status(crossed).contains("limits.azimuth is [180, -180]"));
+    assert!(status(r#"{"limit": {}}"#).contains("unknown field `limit`"));
 }
 
 #[cfg(all(feature = "serial", unix))]

@@ -13,6 +13,7 @@ use std::collections::BTreeMap;
 
 /// Where the arm may go, degrees.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Limits {
     /// Smallest and largest azimuth.
     pub azimuth: [f64; 2],
@@ -32,6 +33,7 @@ impl Default for Limits {
 
 /// How the arm stands against the camera, from calibration; all zero for a perfect build. Degrees.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Mount {
     /// True azimuth when the azimuth joint says 0.
     pub azimuth: f64,
@@ -66,7 +68,7 @@ impl Mount {
 
 /// The arm of a rig: where it may go, how it stands, how fast it is.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[serde(default, deny_unknown_fields)]
 pub struct Arm {
     /// Where it may go.
     pub limits: Limits,
@@ -93,6 +95,40 @@ impl Default for Arm {
     }
 }
 
+/// Why a configuration can't be an arm's.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum ArmError {
+    /// Not a number to count with.
+    #[error("{field} is {value}: a finite number is needed")]
+    NotFinite {
+        /// Where.
+        field: &'static str,
+        /// What it is.
+        value: f64,
+    },
+    /// A range that holds nothing.
+    #[error("{field} is [{low}, {high}]: write the smaller one first")]
+    Order {
+        /// Which.
+        field: &'static str,
+        /// Its first number.
+        low: f64,
+        /// Its second number.
+        high: f64,
+    },
+    /// A rate, acceleration or feed with which nothing moves.
+    #[error("{field} is {value}: it must be above 0")]
+    NotPositive {
+        /// Which.
+        field: &'static str,
+        /// What it is.
+        value: f64,
+    },
+    /// A cone that is none.
+    #[error("limits.keep_out is {0}°: 0 to 90 is possible")]
+    KeepOut(f64),
+}
+
 /// How a direction is reached.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Plan {
@@ -112,6 +148,43 @@ pub struct Plan {
 const ROUNDING: f64 = 1e-3;
 
 impl Arm {
+    /// Whether a plan can be made with these numbers: of what was read from a file, ask first.
+    ///
+    /// # Errors
+    /// [`ArmError`] names the field.
+    pub fn check(&self) -> Result<(), ArmError> {
+        let Self { limits, mount, axes: [azimuth, slant], feed } = self;
+        let finite =
+            |field, value: f64| value.is_finite().then_some(()).ok_or(ArmError::NotFinite { field, value });
+        for (field, [low, high]) in [("limits.azimuth", limits.azimuth), ("limits.slant", limits.slant)] {
+            finite(field, low)?;
+            finite(field, high)?;
+            if low > high {
+                return Err(ArmError::Order { field, low, high });
+            }
+        }
+        if !(0.0..=90.0).contains(&limits.keep_out) {
+            return Err(ArmError::KeepOut(limits.keep_out));
+        }
+        finite("mount.azimuth", mount.azimuth)?;
+        finite("mount.slant", mount.slant)?;
+        finite("mount.tilt", mount.tilt[0])?;
+        finite("mount.tilt", mount.tilt[1])?;
+        for (field, value) in [
+            ("the rate of axes[0] (azimuth)", azimuth.rate),
+            ("the acceleration of axes[0] (azimuth)", azimuth.acceleration),
+            ("the rate of axes[1] (slant)", slant.rate),
+            ("the acceleration of axes[1] (slant)", slant.acceleration),
+            ("feed", *feed),
+        ] {
+            finite(field, value)?;
+            if value <= 0.0 {
+                return Err(ArmError::NotPositive { field, value });
+            }
+        }
+        Ok(())
+    }
+
     /// Seconds from one pose to another.
     #[must_use]
     pub fn travel(&self, from: Joints, to: Joints) -> f64 {
@@ -411,6 +484,38 @@ mod tests {
                     nearest.to_degrees()
                 );
             }
+        }
+    }
+
+    #[test]
+    fn a_configuration_is_read_back_and_a_wrong_one_is_told() {
+        let read = |text: &str| serde_json::from_str::<Arm>(text);
+        let arm = Arm { mount: Mount { azimuth: 1.5, slant: -0.5, tilt: [0.1, 0.2] }, ..Arm::default() };
+        assert_eq!(read(&serde_json::to_string(&arm).unwrap()).unwrap(), arm);
+        assert_eq!(read("{}").unwrap(), Arm::default());
+        assert_eq!(Arm::default().check(), Ok(()));
+        for (text, says) in [
+            (r#"{"fead": 3000}"#, "fead"),
+            (r#"{"mount": {"azimuth": 1, "slant": 0, "tilt": [0, 0], "roll": 1}}"#, "roll"),
+            (
+                r#"{"axes": [{"rate": 1, "acceleration": 1, "jerk": 1}, {"rate": 1, "acceleration": 1}]}"#,
+                "jerk",
+            ),
+        ] {
+            let error = read(text).unwrap_err().to_string();
+            assert!(error.contains(says), "{error}");
+        }
+        let limits = Limits::default();
+        let wrong = [
+            (Arm { limits: Limits { azimuth: [180.0, -180.0], ..limits }, ..arm.clone() }, "limits.azimuth"),
+            (Arm { limits: Limits { slant: [f64::NAN, 1.0], ..limits }, ..arm.clone() }, "limits.slant"),
+            (Arm { limits: Limits { keep_out: -1.0, ..limits }, ..arm.clone() }, "limits.keep_out"),
+            (Arm { feed: 0.0, ..arm.clone() }, "feed is 0"),
+            (Arm { axes: [AxisLimits { rate: -1.0, acceleration: 1.0 }; 2], ..arm.clone() }, "axes[0]"),
+        ];
+        for (arm, says) in wrong {
+            let error = arm.check().unwrap_err().to_string();
+            assert!(error.contains(says), "{error}");
         }
     }
 

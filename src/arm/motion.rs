@@ -5,6 +5,7 @@
 
 /// What one axis may do.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct AxisLimits {
     /// Fastest, degrees a minute (`$110`, `$111`).
     pub rate: f64,

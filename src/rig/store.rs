@@ -286,6 +286,7 @@ pub fn resume(mut read: impl FnMut(&str) -> Option<Vec<u8>>) -> Result<Resumed, 
     if record.format != FORMAT {
         return Err(StoreError::Format(record.format));
     }
+    record.arm.check().map_err(|e| StoreError::Record(format!("arm: {e}")))?;
     let mask = read("mask.png").ok_or_else(|| StoreError::Mask("not there".into()))?;
     let mask = image::decode_png(&mask, 1 << 26).map_err(|e| StoreError::Mask(e.to_string()))?;
     let inside: Vec<bool> = mask.rgb.iter().map(|c| c[0] > 127).collect();

@@ -4,7 +4,7 @@ use super::picture::Picture;
 use super::serial::{Rig, millis, time};
 use super::{fail, plain};
 use crate::arm::Joints;
-use crate::arm::kinematics::Mount;
+use crate::arm::kinematics::{Arm, Mount};
 use crate::camera::{Camera as _, Domain};
 use crate::dataset::archive::write_zip;
 use crate::light;
@@ -710,7 +710,9 @@ impl Rig {
     /// Takes a configuration of the arm.
     #[wasm_bindgen(js_name = configureArm)]
     pub fn configure_arm(&mut self, json: &str) -> Result<(), JsError> {
-        self.arm = serde_json::from_str(json).map_err(fail)?;
+        let arm: Arm = serde_json::from_str(json).map_err(fail)?;
+        arm.check().map_err(fail)?;
+        self.arm = arm;
         Ok(())
     }
 

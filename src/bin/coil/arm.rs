@@ -48,15 +48,17 @@ impl ArmArgs {
     /// The configuration.
     ///
     /// # Errors
-    /// Where the file can't be read.
+    /// Where the file can't be read, or holds no arm.
     pub fn read(&self) -> anyhow::Result<Arm> {
         let Some(path) = &self.config else { return Ok(Arm::default()) };
         let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
         let value: serde_json::Value =
             serde_json::from_str(&text).with_context(|| path.display().to_string())?;
         let arm = value.get("arm").cloned().unwrap_or(value);
-        serde_json::from_value(arm)
-            .with_context(|| format!("{}: not the configuration of an arm", path.display()))
+        let wrong = || format!("{}: not the configuration of an arm", path.display());
+        let arm: Arm = serde_json::from_value(arm).with_context(wrong)?;
+        arm.check().with_context(wrong)?;
+        Ok(arm)
     }
 }
 
