@@ -43,9 +43,46 @@ enum Without {
     Transformer,
 }
 
-/// Options of `coil train policy`. What is not given comes from the preset; on --resume, from the run's own recipe.
+/// Options of `coil train policy`.
 #[derive(clap::Args)]
 pub struct Args {
+    #[command(flatten)]
+    choices: Choices,
+    /// What the network is trained on: cpu, cuda (feature train-cuda) or wgpu (feature train-wgpu).
+    #[arg(long, value_enum, default_value = "cpu")]
+    device: Device,
+    /// Threads; their number doesn't change the result.
+    #[arg(long, default_value_t = 1)]
+    threads: usize,
+    /// Updates between validations.
+    #[arg(long, default_value_t = 100)]
+    validate_every: u64,
+    /// Objects to validate on.
+    #[arg(long, default_value_t = 32)]
+    validation_objects: usize,
+    /// Folder of meshes (.obj, .ply, .stl) to validate on, in turn; without it sculptures that are not trained on.
+    #[arg(long, value_name = "DIR")]
+    validation_meshes: Option<PathBuf>,
+    /// Seconds after which to stop; go on later with --resume.
+    #[arg(long)]
+    seconds: Option<u64>,
+    /// Folder of a new run: recipe, log, plot, checkpoint, exported best model.
+    #[arg(long, required_unless_present = "resume")]
+    out: Option<PathBuf>,
+    /// Folder of a run whose best weights a new run begins with, or of a model (encoder.onnx, step.onnx).
+    #[arg(long, conflicts_with = "resume")]
+    from: Option<PathBuf>,
+    /// Folder of a run to go on with, by its own recipe; of one that has ended, its best and its last weights are compared
+    /// again.
+    #[arg(long, conflicts_with = "out")]
+    resume: Option<PathBuf>,
+}
+
+/// What makes the recipe of a new run. What is not given comes from the preset.
+#[derive(clap::Args)]
+// A run goes on by the recipe in its checkpoint: whoever asks for another one is told.
+#[group(conflicts_with = "resume")]
+struct Choices {
     /// Recipe to start from.
     #[arg(long, value_enum, default_value = "compact")]
     preset: Preset,
@@ -124,33 +161,6 @@ pub struct Args {
     /// Seed of weights and draws.
     #[arg(long)]
     seed: Option<u64>,
-    /// What the network is trained on: cpu, cuda (feature train-cuda) or wgpu (feature train-wgpu).
-    #[arg(long, value_enum, default_value = "cpu")]
-    device: Device,
-    /// Threads; their number doesn't change the result.
-    #[arg(long, default_value_t = 1)]
-    threads: usize,
-    /// Updates between validations.
-    #[arg(long, default_value_t = 100)]
-    validate_every: u64,
-    /// Objects to validate on.
-    #[arg(long, default_value_t = 32)]
-    validation_objects: usize,
-    /// Folder of meshes (.obj, .ply, .stl) to validate on, in turn; without it sculptures that are not trained on.
-    #[arg(long, value_name = "DIR")]
-    validation_meshes: Option<PathBuf>,
-    /// Seconds after which to stop; go on later with --resume.
-    #[arg(long)]
-    seconds: Option<u64>,
-    /// Folder of a new run: recipe, log, plot, checkpoint, exported best model.
-    #[arg(long, required_unless_present = "resume")]
-    out: Option<PathBuf>,
-    /// Folder of a run whose best weights a new run begins with, or of a model (encoder.onnx, step.onnx).
-    #[arg(long, conflicts_with = "resume")]
-    from: Option<PathBuf>,
-    /// Folder of a run to go on with; of one that has ended, its best and its last weights are compared again.
-    #[arg(long, conflicts_with = "out")]
-    resume: Option<PathBuf>,
 }
 
 /// A line of the log.
@@ -185,8 +195,8 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
                 bail!("{} holds a run already: go on with --resume, or name another folder", dir.display());
             }
             let trainer = match &args.from {
-                None => Trainer::new(recipe(args)?).map_err(anyhow::Error::msg)?,
-                Some(from) => begin_from(from, recipe(args)?)?,
+                None => Trainer::new(recipe(&args.choices)?).map_err(anyhow::Error::msg)?,
+                Some(from) => begin_from(from, recipe(&args.choices)?)?,
             };
             (dir, trainer)
         }
@@ -312,7 +322,7 @@ fn choose(
     Ok(ExitCode::SUCCESS)
 }
 
-fn recipe(args: &Args) -> anyhow::Result<Recipe> {
+fn recipe(args: &Choices) -> anyhow::Result<Recipe> {
     let mut r = match (&args.recipe, args.preset) {
         (Some(file), _) => read_recipe(file)?,
         (None, Preset::Compact) => Recipe::compact(),
