@@ -1,5 +1,5 @@
 //! `coil render` as a user runs it: stacks that `coil eval` reads, shards, poses, errors.
-#![cfg(all(feature = "cli", feature = "render"))]
+#![cfg(feature = "cli")]
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

@@ -307,7 +307,6 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     simulated(&args)
 }
 
-#[cfg(feature = "render")]
 fn simulated(args: &Args) -> anyhow::Result<ExitCode> {
     use coil_ps::render::{Material, Options as SceneOptions, Pose, Scene, SceneCamera, named};
     let shape = named(&args.object)?;
@@ -317,12 +316,6 @@ fn simulated(args: &Args) -> anyhow::Result<ExitCode> {
     let scene = Scene::new(&args.object, &shape, &pose, &material.into(), &options)?;
     let camera = SceneCamera::new(&scene);
     capture(args, source(args, &camera, scene.truth()), Some(camera.mask().clone()))
-}
-
-#[cfg(not(feature = "render"))]
-fn simulated(args: &Args) -> anyhow::Result<ExitCode> {
-    let sphere = coil_ps::rig::camera::Sphere::new(args.size)?;
-    capture(args, source(args, &sphere, sphere.truth()), Some(sphere.mask().clone()))
 }
 
 fn source<'a>(args: &Args, scene: &'a dyn Camera, truth: &'a [Vec3]) -> Source<'a> {

@@ -12,18 +12,14 @@ mod model;
 mod models;
 mod objects;
 mod output;
-#[cfg(feature = "render")]
 mod render;
 mod serve;
 mod solve;
 mod study;
-#[cfg(feature = "render")]
 mod train;
 #[cfg(feature = "train")]
 mod train_policy;
-#[cfg(feature = "render")]
 mod train_solver;
-#[cfg(feature = "render")]
 mod tune;
 
 use clap::{Parser, Subcommand};
@@ -46,14 +42,12 @@ enum Command {
     /// Solve objects and write normals, expected errors and surfaces.
     Solve(solve::Args),
     /// Tune the solvers without training on synthetic pixels.
-    #[cfg(feature = "render")]
     Tune(tune::Args),
     /// Tell what datasets are and what is wrong with them.
     Info(info::Args),
     /// Write lights, normals or whole objects in another format.
     Export(export::Args),
     /// Render synthetic objects under many lights.
-    #[cfg(feature = "render")]
     Render(render::Args),
     /// Drive the arm of a rig, real or simulated.
     Arm(arm::Args),
@@ -67,7 +61,6 @@ enum Command {
     #[cfg(feature = "policy")]
     Model(model::Args),
     /// Train a network (in resumable pieces).
-    #[cfg(feature = "render")]
     Train(train::Args),
 }
 
@@ -76,11 +69,9 @@ fn main() -> ExitCode {
         Command::Eval(args) => eval::run(args),
         Command::Study(args) => study::run(args),
         Command::Solve(args) => solve::run(args),
-        #[cfg(feature = "render")]
         Command::Tune(args) => tune::run(args),
         Command::Info(args) => info::run(args),
         Command::Export(args) => export::run(args),
-        #[cfg(feature = "render")]
         Command::Render(args) => render::run(args),
         Command::Arm(args) => arm::run(args),
         Command::Calibrate(args) => calibrate::run(args),
@@ -88,7 +79,6 @@ fn main() -> ExitCode {
         Command::Serve(args) => serve::run(args),
         #[cfg(feature = "policy")]
         Command::Model(args) => model::run(args),
-        #[cfg(feature = "render")]
         Command::Train(args) => train::run(args),
     };
     result.unwrap_or_else(|error| {

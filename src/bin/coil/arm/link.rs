@@ -1,10 +1,10 @@
 //! A link with its port and clock: native ports, or the simulated board in simulated time.
 
 use anyhow::{Context, bail};
+use coil_ps::arm::Transport;
 use coil_ps::arm::fault::{Fault, Faulty};
 use coil_ps::arm::grbl::{Command, Event, Failure, Link, Phase};
 use coil_ps::arm::simulated::{Simulated, Truth};
-use coil_ps::arm::{Transport, TransportError};
 use std::time::{Duration, Instant};
 
 /// Which arm.
@@ -348,7 +348,8 @@ pub fn ports() -> anyhow::Result<Vec<(String, String)>> {
 
 #[cfg(feature = "serial")]
 mod native {
-    use super::{Duration, Transport, TransportError};
+    use super::{Duration, Transport};
+    use coil_ps::arm::TransportError;
     use serialport::{ErrorKind, SerialPort, SerialPortType};
     use std::io::ErrorKind as Io;
 
