@@ -1,6 +1,7 @@
 //! `coil capture`: a whole session with a rig, headless.
 
 use crate::arm::{ArmArgs, Driver, PortArgs};
+use crate::output;
 use anyhow::{Context, bail};
 use coil_ps::arm::Joints;
 use coil_ps::arm::grbl::{Command, Phase, Trust};
@@ -270,19 +271,8 @@ fn list(dir: &Path) -> anyhow::Result<Vec<PathBuf>> {
     Ok(entries.filter_map(|e| Some(e.ok()?.path())).filter(image).collect())
 }
 
-/// Writes as a whole or not at all: another file first, then its name.
 fn write_files(dir: &Path, writes: &[Write]) -> anyhow::Result<()> {
-    for w in writes {
-        let (path, part) = (dir.join(&w.name), dir.join(format!("{}.part", w.name)));
-        let write = || -> std::io::Result<()> {
-            let mut file = std::fs::File::create(&part)?;
-            std::io::Write::write_all(&mut file, &w.bytes)?;
-            file.sync_all()?;
-            std::fs::rename(&part, &path)
-        };
-        write().with_context(|| format!("{}: can't be written", path.display()))?;
-    }
-    Ok(())
+    writes.iter().try_for_each(|w| output::replace(&dir.join(&w.name), &w.bytes))
 }
 
 /// Runs the subcommand.

@@ -13,6 +13,7 @@ use glam::Vec3;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use serde_json::json;
+use std::io::Write as _;
 use std::path::Path;
 
 /// A bar on standard error, shown only where that is a terminal.
@@ -78,6 +79,19 @@ pub fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     }
     std::fs::write(path, bytes).with_context(|| path.display().to_string())
+}
+
+/// Writes a file so that at every moment the old or the new one is there, whole: another file first, then its name.
+pub fn replace(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    let mut part = path.as_os_str().to_owned();
+    part.push(".part");
+    let write = || -> std::io::Result<()> {
+        let mut file = std::fs::File::create(&part)?;
+        file.write_all(bytes)?;
+        file.sync_all()?;
+        std::fs::rename(&part, path)
+    };
+    write().with_context(|| format!("{}: can't be written", path.display()))
 }
 
 /// Largest error that the colour scale of error maps reaches, degrees.
@@ -152,6 +166,21 @@ mod tests {
         for bad in ["", "3..", "10..3", "x", "3,,5"] {
             assert!(counts(bad).is_err(), "{bad}");
         }
+    }
+
+    #[test]
+    fn a_file_is_replaced_and_nothing_stays_beside_it() {
+        let dir = std::env::temp_dir().join(format!("coil-replace-{}", std::process::id()));
+        std::fs::create_dir_all(&dir).unwrap();
+        let path = dir.join("log.jsonl");
+        for text in ["first", "second"] {
+            replace(&path, text.as_bytes()).unwrap();
+            assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
+        }
+        assert_eq!(std::fs::read_dir(&dir).unwrap().count(), 1);
+        let nowhere = replace(&dir.join("none").join("file"), b"").unwrap_err();
+        assert!(nowhere.to_string().contains("can't be written"), "{nowhere}");
+        std::fs::remove_dir_all(&dir).unwrap();
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! `coil train policy`: COIL-PS's network, in resumable pieces.
 
 use crate::model;
+use crate::output::replace;
 use anyhow::{Context, bail};
 use clap::ValueEnum;
 use coil_ps::light::{azimuth, fibonacci_cap, from_azimuth_slant, ring, slant};
@@ -55,7 +56,7 @@ pub struct Args {
     #[arg(long, default_value_t = 1)]
     threads: usize,
     /// Updates between validations.
-    #[arg(long, default_value_t = 100)]
+    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
     validate_every: u64,
     /// Objects to validate on.
     #[arg(long, default_value_t = 32)]
@@ -463,18 +464,6 @@ fn save_best(dir: &Path, trainer: &Trainer) -> anyhow::Result<()> {
     let files = export::export(best, &note);
     replace(&dir.join("encoder.onnx"), &files.encoder)?;
     replace(&dir.join("step.onnx"), &files.step)
-}
-
-/// Writes a file so that at every moment the old or the new one is there, whole.
-fn replace(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    let fresh = path.with_extension("part");
-    let write = || -> std::io::Result<()> {
-        let mut file = fs::File::create(&fresh)?;
-        file.write_all(bytes)?;
-        file.sync_all()?;
-        fs::rename(&fresh, path)
-    };
-    write().with_context(|| format!("can't write {}", path.display()))
 }
 
 /// The log, appended to; lines of updates that a killed run made after its last checkpoint are dropped, they are made again.

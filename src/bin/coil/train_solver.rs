@@ -1,5 +1,6 @@
 //! `coil train solver`: the pixel network, from synthetic pixels made on the fly.
 
+use crate::output::replace;
 use anyhow::Context;
 use coil_ps::pixels::fit::{Recipe, Report, Training};
 use coil_ps::pixels::tune::{bench, score};
@@ -9,7 +10,7 @@ use coil_ps::solve::pixel::onnx;
 use coil_ps::solve::{self, PixelNetwork};
 use std::fs;
 use std::io::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -33,7 +34,7 @@ pub struct Args {
     #[arg(long, default_value_t = Recipe::default().rate)]
     rate: f32,
     /// Steps between validations.
-    #[arg(long, default_value_t = 500)]
+    #[arg(long, default_value_t = 500, value_parser = clap::value_parser!(u64).range(1..))]
     validate_every: u64,
     /// Threads (at most 4 are used); their number doesn't change the result.
     #[arg(long, default_value_t = 1)]
@@ -108,7 +109,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
                 ("validation lights".into(), format!("{LIGHTS:?}")),
                 ("validation degrees".into(), format!("{means:.2?}")),
             ];
-            fs::write(args.out.join("pixel.onnx"), onnx::write(training.network(), &about))?;
+            replace(&args.out.join("pixel.onnx"), &onnx::write(training.network(), &about))?;
             (recent, count) = (Report::default(), 0.0);
         }
         let stop = args.seconds.is_some_and(|s| begun.elapsed() >= Duration::from_secs(s));
@@ -139,11 +140,4 @@ fn validate(solver: &dyn solve::Solver, benches: &[Vec<Pixels>]) -> anyhow::Resu
         );
     }
     Ok(text)
-}
-
-/// Writes beside and renames: a run that is killed keeps its last whole checkpoint.
-fn replace(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    let beside = path.with_extension("new");
-    fs::write(&beside, bytes).with_context(|| format!("can't write {}", beside.display()))?;
-    fs::rename(&beside, path).with_context(|| format!("can't replace {}", path.display()))
 }
