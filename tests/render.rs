@@ -78,6 +78,36 @@ fn the_learned_planner_can_be_solved_with() {
     assert!(!error.status.success() && String::from_utf8_lossy(&error.stderr).contains("compact"));
 }
 
+/// An object that can't be solved is told; the others are solved and summed up.
+#[test]
+fn solving_goes_on_after_an_object_that_fails() {
+    let set = folder("two-lights");
+    good(&["render", "blob:4", "--lights", "fibonacci:2", "--size", "24", "--out", text(&set)]);
+    let out = coil(&["solve", text(&set), "blob:3", "blob:5", "--size", "24", "--solver", "ls"]);
+    let (said, log) = (String::from_utf8_lossy(&out.stdout), String::from_utf8_lossy(&out.stderr));
+    assert_eq!(out.status.code(), Some(1), "{said}{log}");
+    assert!(log.contains("blob"), "{log}");
+    assert!(said.contains("2 objects: expected") && said.contains("in the median"), "{said}");
+}
+
+/// A run goes on by its own recipe: an option of another one is not ignored in silence.
+#[cfg(feature = "train")]
+#[test]
+fn a_resumed_training_takes_no_other_recipe() {
+    for option in [&["--steps", "5"][..], &["--blank"], &["--preset", "paper"], &["--seed", "2"]] {
+        let message = refused(&[&["train", "policy", "--resume", "no-such-run"], option].concat());
+        assert!(message.contains(option[0]) && message.contains("cannot be used with"), "{message}");
+    }
+    let rest = ["--threads", "2", "--validation-objects", "4", "--validate-every", "9", "--seconds", "1"];
+    let more = ["--device", "cpu", "--validation-meshes", "no-such-folder"];
+    let message = refused(&[&["train", "policy", "--resume", "no-such-run"], &rest[..], &more].concat());
+    assert!(message.contains("no run in no-such-run"), "{message}");
+    for network in ["policy", "solver"] {
+        let message = refused(&["train", network, "--out", "nowhere", "--validate-every", "0"]);
+        assert!(message.contains("0 is not in 1.."), "{message}");
+    }
+}
+
 #[test]
 fn shards_make_the_same_set() {
     let out = folder("shards");

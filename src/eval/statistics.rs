@@ -1,9 +1,18 @@
-//! Mean and 95 % interval of repeated runs.
+//! Mean and 95 % interval of repeated runs, median of objects.
 
 /// Mean of `values`; 0 for none.
 #[must_use]
 pub fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len().max(1) as f64
+}
+
+/// Median of `values`, of an even number the mean of the two in the middle; 0 for none.
+#[must_use]
+pub fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let upper = sorted.len() / 2;
+    mean(&sorted[sorted.len().saturating_sub(1) / 2..sorted.len().min(upper + 1)])
 }
 
 /// 95 % confidence interval of the mean (Student's t); `None` for less than two values.
@@ -36,6 +45,14 @@ fn student_t975(freedom: usize) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn median_is_in_the_middle() {
+        assert_eq!(median(&[]), 0.0);
+        assert_eq!(median(&[3.0]), 3.0);
+        assert_eq!(median(&[9.0, 1.0, 2.0]), 2.0);
+        assert_eq!(median(&[9.0, 1.0, 4.0, 2.0]), 3.0);
+    }
 
     #[test]
     fn interval_matches_tables() {

@@ -5,6 +5,7 @@ use super::tune::rank_correlation;
 use super::{Generator, Pixels};
 use crate::camera::{Camera, Domain};
 use crate::error::unit_angle;
+use crate::eval::statistics::median;
 use crate::planner::{self, Learned, Setup};
 use crate::render::worlds::{self, Split};
 use crate::render::{Options, SceneCamera, Tolerances};
@@ -342,8 +343,7 @@ pub fn check(solver: &dyn Solver, judge: &Judge, objects: &[Pixels]) -> Result<C
         check.within += f64::from(u8::from((error - guess).abs() <= 2.0)) / objects.len() as f64;
         ranks.push(rank_correlation(&expected, &errors));
     }
-    ranks.sort_by(f64::total_cmp);
-    check.rank = ranks.get(ranks.len() / 2).copied().unwrap_or(0.0);
+    check.rank = median(&ranks);
     Ok(check)
 }
 

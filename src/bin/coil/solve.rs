@@ -6,8 +6,10 @@ use crate::output;
 use anyhow::Context;
 use coil_ps::error::{self, ErrorMap};
 use coil_ps::eval::plot;
+use coil_ps::eval::statistics::{mean, median};
 use coil_ps::eval::table::{self, ALL_LIGHTS};
 use coil_ps::eval::{Protocol, RunSpec, Subject};
+use coil_ps::pixels::tune::rank_correlation;
 use coil_ps::relight::Lookup;
 use coil_ps::solve::uncertainty::{self, StopAt};
 use coil_ps::solve::{self, Measurements, Solution};
@@ -73,30 +75,45 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         };
         let reach = args.selection.reach.to_radians();
         let both = object.with_subject(reach, |subject| one(subject, solver.as_ref(), &models, &args));
-        predictions.extend(both.with_context(|| name.to_owned())?);
+        match both {
+            Ok(both) => predictions.extend(both),
+            // The others may do: hours of work are not for nothing.
+            Err(error) => {
+                eprintln!("{name}: {error:#}");
+                failed = true;
+            }
+        }
         Ok(())
     })?;
     if predictions.len() > 1 {
-        let near = predictions.iter().filter(|(expected, truth)| (expected - truth).abs() <= 2.0).count();
-        let mean =
-            |f: fn(&(f64, f64)) -> f64| predictions.iter().map(f).sum::<f64>() / predictions.len() as f64;
+        let near = predictions.iter().filter(|p| (p.expected - p.truth).abs() <= 2.0).count();
+        let all = |f: fn(&Prediction) -> f64| predictions.iter().map(f).collect::<Vec<_>>();
         println!(
-            "{} objects: expected {:.2}°, true {:.2}°; within 2° on {near} of them",
+            "{} objects: expected {:.2}°, true {:.2}°; within 2° on {near} of them; rank correlation {:.2} in the median",
             predictions.len(),
-            mean(|p| p.0),
-            mean(|p| p.1)
+            mean(&all(|p| p.expected)),
+            mean(&all(|p| p.truth)),
+            median(&all(|p| p.rank))
         );
     }
     Ok(ExitCode::from(u8::from(failed)))
 }
 
-/// Solves one object; its expected and true mean error where both are known.
+/// What was expected of one object, and what is so; degrees.
+struct Prediction {
+    expected: f64,
+    truth: f64,
+    /// Rank correlation of expected and true error over the pixels.
+    rank: f64,
+}
+
+/// Solves one object; what was expected where both that and the truth are known.
 fn one(
     subject: &Subject,
     solver: &dyn solve::Solver,
     models: &Models,
     args: &Args,
-) -> anyhow::Result<Option<(f64, f64)>> {
+) -> anyhow::Result<Option<Prediction>> {
     let lookup = Lookup::Nearest;
     let spec = RunSpec {
         planner: args.planner.clone(),
@@ -126,16 +143,19 @@ fn one(
     }
     let (count, seconds, solution) = result.context("no picture was taken")?;
     let truth = subject.truth().map(|t| error::error_map(&solution.normals, t));
+    let expected = uncertainty::predicted_mae(&solution).unwrap_or(f32::NAN);
+    let prediction = truth.as_ref().map(|t| {
+        let each = solution.uncertainty.as_deref().unwrap_or_default();
+        Prediction { expected: f64::from(expected), truth: t.mae, rank: rank_correlation(each, &t.degrees) }
+    });
     println!(
         "{}: {} pixels, {count} lights, {}: expected {:.2}°{}, {:.1} % valid, {:.0} ms, expected errors {:.0} ms",
         subject.name(),
         solution.normals.len(),
         solver.name(),
-        uncertainty::predicted_mae(&solution).unwrap_or(f32::NAN),
-        truth.as_ref().map_or(String::new(), |t| {
-            let expected = solution.uncertainty.as_deref().unwrap_or_default();
-            let rank = coil_ps::pixels::tune::rank_correlation(expected, &t.degrees);
-            format!(", true {:.2}° (rank correlation {rank:.2})", t.mae)
+        expected,
+        prediction.as_ref().map_or(String::new(), |p| {
+            format!(", true {:.2}° (rank correlation {:.2})", p.truth, p.rank)
         }),
         100.0 * uncertainty::coverage(&solution),
         1e3 * seconds.0,
@@ -144,7 +164,7 @@ fn one(
     if let Some(dir) = &args.out {
         write(subject, &solution, truth.as_ref(), &dir.join(output::safe(subject.name())), args)?;
     }
-    Ok(uncertainty::predicted_mae(&solution).zip(truth).map(|(expected, t)| (f64::from(expected), t.mae)))
+    Ok(prediction.filter(|p| p.expected.is_finite()))
 }
 
 fn write(
