@@ -221,6 +221,15 @@ fn normals_in_a_text_file_are_read_also_upside_down() {
         assert_eq!(read.truth.as_ref(), Some(&truth));
         assert_eq!(warnings.len(), usize::from(upside_down));
     }
+    for (text, says) in [
+        (format!("{}0 0 1\n", rows.concat()), "an array of more than 72 lines where the mask needs 72 (9×8)"),
+        (rows[1..].concat(), "an array of 63 lines where the mask needs 72 (9×8)"),
+    ] {
+        let mut files = object_files(&lopsided);
+        files.insert("spherePNG/normal.txt", text.into_bytes()).unwrap();
+        let error = read(&files).unwrap_err().to_string();
+        assert!(error.contains(says), "{error}");
+    }
 }
 
 #[test]

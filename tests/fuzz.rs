@@ -31,6 +31,7 @@ fn valid(target: &str) -> Vec<Vec<u8>> {
                 encode_grey(9, 7, &[1; 63]).unwrap(),
             ]
         }
+        "tiff" => vec![tiff(true, 8, 3), tiff(true, 16, 1), tiff(false, 16, 1)],
         "mat" => {
             let array = mat::Array { dims: vec![1, 2], values: vec![0.5, -1.0] };
             vec![truth(&object), mat::write_array("Normal_gt", &array), uncompressed_mat()]
@@ -82,6 +83,32 @@ fn stl() -> Vec<u8> {
         bytes.extend(v.to_le_bytes());
     }
     bytes.extend([0; 2]);
+    bytes
+}
+
+/// A picture of 3×2 pixels in two strips, `samples` of `bits` bits a pixel.
+fn tiff(little: bool, bits: u16, samples: u16) -> Vec<u8> {
+    let short = |v: u16| if little { v.to_le_bytes() } else { v.to_be_bytes() };
+    let long = |v: u32| if little { v.to_le_bytes() } else { v.to_be_bytes() };
+    let strip = 3 * u32::from(bits / 8 * samples);
+    let lists = 8 + 2 * strip;
+    let mut bytes = if little { b"II*\0".to_vec() } else { b"MM\0*".to_vec() };
+    bytes.extend(long(lists + 16)); // the directory, after the pixels and the strip lists
+    bytes.extend((0..2 * strip).map(|v| (v * 7) as u8));
+    for v in [8, 8 + strip, strip, strip] {
+        bytes.extend(long(v));
+    }
+    bytes.extend(short(8));
+    for (tag, value) in [(256, 3), (257, 2), (258, bits), (259, 1), (262, 1), (277, samples)] {
+        bytes.extend([short(tag), short(3)].concat());
+        bytes.extend(long(1));
+        bytes.extend([short(value), short(0)].concat());
+    }
+    for (tag, at) in [(273, lists), (279, lists + 8)] {
+        bytes.extend([short(tag), short(4)].concat());
+        bytes.extend(long(2));
+        bytes.extend(long(at));
+    }
     bytes
 }
 

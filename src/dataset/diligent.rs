@@ -483,15 +483,21 @@ impl Folder<'_> {
     fn truth_txt(&self, mask: &Mask, warnings: &mut Vec<Warning>) -> Result<Vec<DVec3>, DatasetError> {
         let file = self.path(TRUTH_TXT);
         let (width, height) = (mask.width() as usize, mask.height() as usize);
+        let size = |found: String| {
+            let (file, expected) = (file.clone(), format!("{} ({width}×{height})", width * height));
+            DatasetError::TruthSize { file, found, expected }
+        };
         let mut normals = Vec::with_capacity(width * height);
         self.rows(TRUTH_TXT, "", |line, row| {
+            // However many there are: they need not be kept to know that.
+            if normals.len() == width * height {
+                return Err(size(format!("more than {} lines", normals.len())));
+            }
             normals.push(row.vector(&file, line)?);
             Ok(())
         })?;
         if normals.len() != width * height {
-            let found = format!("{} lines", normals.len());
-            let expected = format!("{} ({width}×{height})", width * height);
-            return Err(DatasetError::TruthSize { file, found, expected });
+            return Err(size(format!("{} lines", normals.len())));
         }
         // The right way up, (nearly) every mask pixel has a normal.
         let upright = mask.gather(&normals);

@@ -7,6 +7,7 @@ use coil_ps::dataset::{
 };
 use coil_ps::image::{decode_png, encode_rgb};
 use coil_ps::light::fibonacci_cap;
+use coil_ps::rig::tiff::decode_frame;
 use coil_ps::solve::pixel::onnx;
 use coil_ps::stack::{BitDepth, Mask, RawStack};
 use glam::Vec3;
@@ -18,6 +19,7 @@ pub type Body = (&'static str, fn(&[u8]) -> bool);
 /// Every fuzz target.
 pub const BODIES: &[Body] = &[
     ("png", png),
+    ("tiff", tiff),
     ("mat", mat),
     ("zip", zip),
     ("lp", lp),
@@ -53,6 +55,15 @@ fn check_png(bytes: &[u8]) -> bool {
         let again = encode_rgb(image.width, image.height, image.bits, &image.rgb).unwrap();
         assert_eq!(decode_png(&again, 1 << 16).unwrap(), image);
     }
+    true
+}
+
+/// A camera's file.
+pub fn tiff(bytes: &[u8]) -> bool {
+    let Ok(image) = decode_frame(bytes, 1 << 16) else { return false };
+    assert!(image.rgb.len() <= 1 << 16);
+    assert_eq!(image.rgb.len() as u64, u64::from(image.width) * u64::from(image.height));
+    assert!(image.rgb.iter().flatten().all(|&v| v <= image.bits.max()));
     true
 }
 
