@@ -297,18 +297,6 @@ impl Arm {
             .unwrap_or_else(|| made(from))
     }
 
-    /// Whether the arm can bring the light to `direction` at all.
-    #[must_use]
-    pub fn reaches(&self, direction: Vec3) -> bool {
-        self.solutions(direction, Joints::default()).into_iter().any(|j| self.allows(j))
-    }
-
-    /// Those of `directions` that the arm reaches: the candidates a planner should be given.
-    #[must_use]
-    pub fn reachable(&self, directions: &[Vec3]) -> Vec<Vec3> {
-        directions.iter().copied().filter(|d| self.reaches(*d)).collect()
-    }
-
     /// Seconds to bring the light from one pose to a direction: what a move costs.
     #[must_use]
     pub fn cost(&self, from: Joints, direction: Vec3) -> f64 {

@@ -115,14 +115,6 @@ pub enum Line {
     Garbled,
 }
 
-impl Line {
-    /// Whether the line answers a line that was sent.
-    #[must_use]
-    pub fn is_answer(&self) -> bool {
-        matches!(self, Self::Ok | Self::Error(_))
-    }
-}
-
 /// Reads one line (without its end). Never fails: what can't be read is [`Line::Garbled`].
 #[must_use]
 pub fn parse(line: &[u8]) -> Line {

@@ -199,12 +199,6 @@ pub fn bracket(shortest: f64, longest: f64, range: f64, bits: u32, codes: f64) -
 }
 
 impl Crop {
-    /// The whole of an image.
-    #[must_use]
-    pub fn whole(image: &Image) -> Self {
-        Self { left: 0, top: 0, width: image.width, height: image.height }
-    }
-
     /// Whether a point (the first pixel's centre is (0.5, 0.5)) lies in it.
     #[must_use]
     pub fn contains(&self, x: f64, y: f64) -> bool {

@@ -219,11 +219,6 @@ impl Simulated {
         s
     }
 
-    /// Work offset G54 in EEPROM, machine coordinates.
-    pub fn set_work_offset(&mut self, offset: [f64; 3]) {
-        self.coordinates.systems[0] = offset;
-    }
-
     /// The lines the firmware has read so far, with their times; for tests.
     #[must_use]
     pub fn lines(&self) -> &[(Duration, String)] {
@@ -262,12 +257,6 @@ impl Simulated {
         self.advance(micros(now));
         self.open = false;
         self.tx.clear();
-    }
-
-    /// Whether the port is open.
-    #[must_use]
-    pub fn is_open(&self) -> bool {
-        self.open
     }
 
     /// Brown-out, reset button or watchdog: everything in RAM is gone, also the position.
