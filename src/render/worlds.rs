@@ -141,8 +141,8 @@ impl Object {
     }
 }
 
-/// A finish of a split's measured materials: half of the objects are of one material, a quarter has a second in patches, four in
-/// ten an albedo texture.
+/// A finish of a split's measured materials: three quarters of the objects are of one material, the others have a second in patches;
+/// four in ten have an albedo texture.
 #[must_use]
 pub fn finish(split: Split, rng: &mut Rng) -> Finish {
     let names = split.materials();

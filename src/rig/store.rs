@@ -113,7 +113,7 @@ pub struct Record {
     pub sphere: Option<Circle>,
     /// The arm.
     pub arm: Arm,
-    /// Whether directions are multiples of a full exposure's value: 1 is full scale at this exposure, seconds.
+    /// Exposure at which a merged value of 1 is full scale, seconds: the shortest of the bracket.
     pub unit_exposure: f64,
     /// LED brightness, spindle speed S.
     #[serde(default)]

@@ -66,6 +66,8 @@ struct Edge {
     demands: [(f64, f64); 2],
     /// The edge on the other side of each end, if there is one.
     opposite: [Option<usize>; 2],
+    /// Weights w of the demands.
+    weights: [f64; 2],
     /// `Σ w n_z²` and `Σ w n_z (−n_t)`.
     stiffness: f64,
     flux: f64,
@@ -140,6 +142,7 @@ fn edges(mask: &Mask, normals: &[Vec3]) -> Vec<Edge> {
                 to: q,
                 demands: [demand(normals[p]), demand(normals[q])],
                 opposite: [None; 2],
+                weights: [0.0; 2],
                 stiffness: 0.0,
                 flux: 0.0,
             });
@@ -156,8 +159,8 @@ fn weigh(edges: &mut [Edge], heights: &[f64], stiffness: f64) {
     let differences: Vec<f64> = edges.iter().map(|e| heights[e.to] - heights[e.from]).collect();
     for (edge, &difference) in edges.iter_mut().zip(&differences) {
         (edge.stiffness, edge.flux) = (0.0, 0.0);
-        for ((nz, demand), opposite) in edge.demands.into_iter().zip(edge.opposite) {
-            let weight = match opposite {
+        for (end, (nz, demand)) in edge.demands.into_iter().enumerate() {
+            let weight = match edge.opposite[end] {
                 Some(o) => {
                     let other = nz * differences[o];
                     let own = nz * difference;
@@ -165,6 +168,7 @@ fn weigh(edges: &mut [Edge], heights: &[f64], stiffness: f64) {
                 }
                 None => 1.0, // nothing on the other side to choose
             };
+            edge.weights[end] = weight;
             edge.stiffness += weight * nz * nz;
             edge.flux += weight * nz * demand;
         }
@@ -174,15 +178,14 @@ fn weigh(edges: &mut [Edge], heights: &[f64], stiffness: f64) {
 }
 
 fn total_energy(edges: &[Edge], heights: &[f64]) -> f64 {
-    // Up to a constant Σ w n_t² that the heights do not change: taken as the residual of each edge's demand.
-    edges
-        .iter()
-        .map(|e| {
-            let r = (heights[e.to] - heights[e.from]) - e.flux / e.stiffness;
-            e.stiffness * r * r
-        })
-        .sum::<f64>()
-        .max(1e-12)
+    // Demand by demand: the residual of an edge's two together lacks what the two disagree by, and that changes with
+    // the weights.
+    let of_edge = |e: &Edge| -> f64 {
+        let difference = heights[e.to] - heights[e.from];
+        let residual = |(nz, demand): (f64, f64)| nz * difference - demand;
+        e.demands.into_iter().zip(e.weights).map(|(d, w)| w * residual(d) * residual(d)).sum()
+    };
+    edges.iter().map(of_edge).sum::<f64>().max(1e-12)
 }
 
 /// Conjugate gradients with the diagonal as preconditioner on `Σ_edges stiffness (z_to − z_from) = flux`.
