@@ -4,6 +4,7 @@
 //! into a linear [`Stack`], which planners and solvers work on. Both store mask pixels only, in
 //! row-major order.
 
+use crate::image::Image;
 use glam::Vec3;
 
 /// The pixels that belong to the object.
@@ -52,6 +53,18 @@ impl Mask {
             return Err(StackError::EmptyMask { width, height });
         }
         Ok(Self { width, height, indices })
+    }
+
+    /// The mask that an image shows: its brightest value (the largest channel of a pixel) marks the object. An all-black
+    /// image marks nothing.
+    ///
+    /// # Errors
+    /// [`StackError::EmptyMask`] for an all-black image, [`StackError::Length`] for one that lacks pixels.
+    pub fn from_image(image: &Image) -> Result<Self, StackError> {
+        let value = |p: &[u16; 3]| p[0].max(p[1]).max(p[2]);
+        let brightest = image.rgb.iter().map(value).max().unwrap_or(0).max(1);
+        let inside: Vec<bool> = image.rgb.iter().map(|p| value(p) == brightest).collect();
+        Self::new(image.width, image.height, &inside)
     }
 
     /// Every pixel of a `width × height` image.
@@ -264,5 +277,18 @@ mod tests {
         assert_eq!(Mask::new(2, 1, &[false, false]), Err(StackError::EmptyMask { width: 2, height: 1 }));
         assert!(matches!(Mask::new(2, 2, &[true]), Err(StackError::Length { found: 1, expected: 4, .. })));
         assert!(Mask::full(0, 5).is_err());
+    }
+
+    #[test]
+    fn the_brightest_value_of_an_image_marks_the_object() {
+        let image =
+            |rgb: &[[u16; 3]]| Image { width: 3, height: 1, bits: BitDepth::Sixteen, rgb: rgb.to_vec() };
+        // Of any brightness and colour, and nothing in between counts.
+        let mask = Mask::from_image(&image(&[[0, 9, 0], [8, 8, 8], [9, 9, 9]])).unwrap();
+        assert_eq!(mask.indices(), [0, 2]);
+        assert_eq!(
+            Mask::from_image(&image(&[[0; 3]; 3])),
+            Err(StackError::EmptyMask { width: 3, height: 1 })
+        );
     }
 }

@@ -411,12 +411,8 @@ impl Folder<'_> {
         let bytes = self.read(MASK, "its brightest value marks the pixels of the object")?;
         let image = decode_png(&bytes, self.limits.pixels)
             .map_err(|reason| DatasetError::Image { file: file.clone(), reason })?;
-        let value = |p: &[u16; 3]| p[0].max(p[1]).max(p[2]);
-        // An all-black mask marks nothing.
-        let brightest = image.rgb.iter().map(value).max().unwrap_or(0).max(1);
-        let inside: Vec<bool> = image.rgb.iter().map(|p| value(p) == brightest).collect();
         let (width, height) = (image.width, image.height);
-        Mask::new(width, height, &inside).map_err(|_| DatasetError::EmptyMask { file, width, height })
+        Mask::from_image(&image).map_err(|_| DatasetError::EmptyMask { file, width, height })
     }
 
     fn truth(&self, mask: &Mask, warnings: &mut Vec<Warning>) -> Result<Option<Vec<Vec3>>, DatasetError> {

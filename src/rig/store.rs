@@ -289,8 +289,7 @@ pub fn resume(mut read: impl FnMut(&str) -> Option<Vec<u8>>) -> Result<Resumed, 
     record.arm.check().map_err(|e| StoreError::Record(format!("arm: {e}")))?;
     let mask = read("mask.png").ok_or_else(|| StoreError::Mask("not there".into()))?;
     let mask = image::decode_png(&mask, 1 << 26).map_err(|e| StoreError::Mask(e.to_string()))?;
-    let inside: Vec<bool> = mask.rgb.iter().map(|c| c[0] > 127).collect();
-    let mask = Mask::new(mask.width, mask.height, &inside).map_err(|e| StoreError::Mask(e.to_string()))?;
+    let mask = Mask::from_image(&mask).map_err(|e| StoreError::Mask(e.to_string()))?;
     let (mut seen, mut damaged, mut kept) = (Vec::new(), Vec::new(), Vec::new());
     for shot in std::mem::take(&mut record.shots) {
         let plain = shot.file.len() < 64 && shot.file.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'.');

@@ -91,7 +91,7 @@ pub struct Args {
     /// Side of the simulated picture, pixels.
     #[arg(long, default_value_t = 96)]
     size: u32,
-    /// Mask (PNG, white on the object, of the size after the crop); without it, from the brightness under a frontal light.
+    /// Mask (PNG, its brightest value marks the object, of the size after the crop); without it, from the brightness under a frontal light.
     #[arg(long, value_name = "FILE")]
     mask: Option<PathBuf>,
     /// Brightness that parts the object from its background, 1 at the shortest exposure's full scale; without it, from
@@ -539,8 +539,7 @@ fn session(
 fn read_mask(path: &Path) -> anyhow::Result<Mask> {
     let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
     let image = coil_ps::image::decode_png(&bytes, 1 << 28).with_context(|| path.display().to_string())?;
-    let inside: Vec<bool> = image.rgb.iter().map(|c| c[0] > image.bits.max() / 2).collect();
-    Ok(Mask::new(image.width, image.height, &inside)?)
+    Mask::from_image(&image).with_context(|| path.display().to_string())
 }
 
 /// Until the capture is done (`None`) or can't go on.
