@@ -44,6 +44,24 @@ pub fn read_lp(bytes: &[u8], file: &str) -> Result<Vec<(String, Vec3)>, DatasetE
     Ok(lights)
 }
 
+/// Unit light directions of a text file, `x y z` a line, as people write them: of any length, also in between commas.
+/// `file` is its name, for messages.
+///
+/// # Errors
+/// [`DatasetError`] with the line for what are not three numbers, a vector of no length, a light behind the object.
+pub fn read_directions(bytes: &[u8], file: &str) -> Result<Vec<Vec3>, DatasetError> {
+    let mut lights = Vec::new();
+    text::rows(file, bytes, |line, row| {
+        let v = row.vector(file, line)?;
+        let length = v.length();
+        // Too short or too long to be told which way it points.
+        let unit = if length > 1e-6 && length.is_finite() { v / length } else { v };
+        lights.push(text::light_direction(unit, file, line)?);
+        Ok(())
+    })?;
+    Ok(lights)
+}
+
 /// Splits a line before the last three of its fields; both parts are not empty.
 fn last_fields(line: &str) -> Option<(&str, &str)> {
     let mut name = line;
@@ -81,6 +99,18 @@ mod tests {
         let text = "2\r\nC:\\rti\\img_01.jpg\t0.0\t0.6\t0.8\r\n/home/x/b c.jpg   0  0\t 1\r\n\r\n";
         let read = read_lp(text.as_bytes(), "a.lp").unwrap();
         assert_eq!(read, [("img_01.jpg".into(), Vec3::new(0.0, 0.6, 0.8)), ("b c.jpg".into(), Vec3::Z)]);
+    }
+
+    #[test]
+    fn directions_are_read_from_any_system() {
+        let text = "\u{feff}0, 0, 1\r\n\r\n0\t3 ,4\r\n";
+        let read = read_directions(text.as_bytes(), "lights.txt").unwrap();
+        assert_eq!(read, [Vec3::Z, Vec3::new(0.0, 0.6, 0.8)]);
+        let message = |text: &str| read_directions(text.as_bytes(), "lights.txt").unwrap_err().to_string();
+        assert!(message("0 0 1\n0 1\n").starts_with("lights.txt:2: 2 numbers"));
+        assert!(message("0 0 0\n").contains("unit vector"));
+        assert!(message("1e200 1e200 1\n").contains("unit vector"));
+        assert!(message("0 1 -1\n").contains("behind"));
     }
 
     #[test]

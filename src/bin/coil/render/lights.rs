@@ -19,37 +19,28 @@ pub fn lights(texts: &[String]) -> anyhow::Result<Vec<Vec3>> {
 }
 
 fn light_set(text: &str) -> anyhow::Result<Vec<Vec3>> {
-    let vector = |line: &str, split: fn(char) -> bool, place: &str| -> anyhow::Result<Vec3> {
-        let numbers: Vec<f32> = line
-            .split(split)
-            .filter(|w| !w.is_empty())
-            .map(|w| w.trim().parse())
-            .collect::<Result<_, _>>()
-            .with_context(|| format!("{place}: '{line}'"))?;
-        let [x, y, z] = numbers[..] else { bail!("{place}: '{line}': a direction is three numbers") };
-        let v = Vec3::new(x, y, z);
-        if !(v.is_finite() && v.length() > 1e-6 && z >= 0.0) {
-            bail!("{place}: '{line}': a direction towards a light has z ≥ 0 and is not zero");
-        }
-        Ok(v.normalize())
-    };
     let parts: Vec<&str> = text.split(':').collect();
     match parts[..] {
         ["fibonacci", k] => {
-            let k: usize = k.parse().with_context(|| format!("--lights {text}"))?;
+            let k: usize =
+                k.parse().with_context(|| format!("--lights {text}: fibonacci:K, K the number of lights"))?;
             return Ok(fibonacci_hemisphere(k));
         }
         ["ring", k, slant] => {
-            let (k, slant): (usize, f32) = (k.parse()?, slant.parse()?);
+            let wrong = || {
+                format!("--lights {text}: ring:K:SLANT, K the number of lights, the slant in (0, 90] degrees")
+            };
+            let (k, slant): (usize, f32) =
+                (k.parse().with_context(wrong)?, slant.parse().with_context(wrong)?);
             if !(slant > 0.0 && slant <= 90.0) {
-                bail!("--lights {text}: the slant lies in (0, 90] degrees");
+                bail!(wrong());
             }
             return Ok(ring(k, slant.to_radians(), 0.0));
         }
         _ => {}
     }
     if text.matches(',').count() == 2 && !Path::new(text).exists() {
-        return Ok(vec![vector(text, |c| c == ',', "--lights")?]);
+        return Ok(lp::read_directions(text.as_bytes(), "--lights")?);
     }
     let mut file = PathBuf::from(text);
     if file.is_dir() {
@@ -62,7 +53,5 @@ fn light_set(text: &str) -> anyhow::Result<Vec<Vec3>> {
     if name.to_ascii_lowercase().ends_with(".lp") {
         return Ok(lp::read_lp(&bytes, &name)?.into_iter().map(|l| l.1).collect());
     }
-    let content = String::from_utf8_lossy(&bytes);
-    let lines = content.lines().enumerate().filter(|(_, l)| !l.trim().is_empty());
-    lines.map(|(i, l)| vector(l, char::is_whitespace, &format!("{name}:{}", i + 1))).collect()
+    Ok(lp::read_directions(&bytes, &name)?)
 }
