@@ -131,6 +131,19 @@ fn check(cap: &Cap, what: &str) {
 }
 
 #[test]
+fn all_lights_are_within_a_narrow_reach_in_every_draw() {
+    let cap = Cap::new(12, None);
+    let domain = Domain::Hemisphere { reach: 0.07 };
+    for (name, lights) in cases().filter(|&(name, lights)| lights == 5 && !name.starts_with("oracle")) {
+        for draw in 0..4 {
+            for d in directions(&cap, name, &domain, lights, draw).unwrap() {
+                assert!(light::slant(d) <= domain.reach() + 1e-4, "{name}, draw {draw}: {d}");
+            }
+        }
+    }
+}
+
+#[test]
 fn on_an_ordinary_object() {
     check(&Cap::new(12, None), "sphere cap");
 }

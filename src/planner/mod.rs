@@ -328,12 +328,15 @@ fn jitter(direction: Vec3, rng: &mut Rng) -> Vec3 {
     Vec3::new(moved.x, moved.y, moved.z.max(0.0)).normalize()
 }
 
-/// The first light of an online planner: the candidate nearest to `start`, or `start` itself.
+/// The first light of an online planner: the candidate nearest to `start`, or `start` itself, no farther from the axis than the reach.
 fn first(view: &View, start: Vec3) -> Result<Vec3, PlanError> {
     match view.domain {
         Domain::Candidates(all) => light::nearest(start, all, |_| true)
             .map(|i| all[i])
             .ok_or(PlanError::TooFewCandidates { candidates: 0, lights: view.lights }),
+        Domain::Hemisphere { reach } if light::slant(start) > *reach => {
+            Ok(light::from_azimuth_slant(light::azimuth(start), *reach))
+        }
         Domain::Hemisphere { .. } => Ok(start),
     }
 }
