@@ -384,6 +384,19 @@ mod tests {
         reach: Vec<f32>,
     }
 
+    impl Input {
+        /// What `run` makes of frame `i`.
+        fn step(&self, run: &mut Sequence, i: usize, device: &Device) -> Tensor<2> {
+            let s = run.net.config.input;
+            let frame = self.frames[i * 3 * s * s..(i + 1) * 3 * s * s].to_vec();
+            run.step(
+                tensor(frame, [1, 3, s, s], device),
+                tensor(self.lights[3 * i..3 * i + 3].to_vec(), [1, 3], device),
+                tensor(vec![self.reach[i]], [1, 1], device),
+            )
+        }
+    }
+
     /// `count` random frames and lights, frame by frame.
     fn random(config: &Config, count: usize, seed: u64) -> Input {
         let mut rng = Rng::new(seed);
@@ -393,20 +406,9 @@ mod tests {
     }
 
     fn one(net: &Network, input: &Input, count: usize) -> Vec<Vec<f32>> {
-        let (s, device) = (net.config.input, &Device::flex());
+        let device = Device::flex();
         let mut run = net.start(count);
-        (0..count)
-            .map(|i| {
-                let frame = input.frames[i * 3 * s * s..(i + 1) * 3 * s * s].to_vec();
-                let light = input.lights[3 * i..3 * i + 3].to_vec();
-                let d = run.step(
-                    tensor(frame, [1, 3, s, s], device),
-                    tensor(light, [1, 3], device),
-                    tensor(vec![input.reach[i]], [1, 1], device),
-                );
-                values(d)
-            })
-            .collect()
+        (0..count).map(|i| values(input.step(&mut run, i, &device))).collect()
     }
 
     fn all(net: &Network, input: &Input, count: usize) -> Vec<f32> {
@@ -444,20 +446,9 @@ mod tests {
         let table = told.index()["head.horizon"];
         told.params[table].values[3 * row] = 0.5;
         let net = Network::new(&told, &device);
-        let s = config.input;
         let second = |lights: usize| {
             let mut run = net.start(lights);
-            (0..2)
-                .map(|i| {
-                    let frame = input.frames[i * 3 * s * s..(i + 1) * 3 * s * s].to_vec();
-                    let light = input.lights[3 * i..3 * i + 3].to_vec();
-                    values(run.step(
-                        tensor(frame, [1, 3, s, s], &device),
-                        tensor(light, [1, 3], &device),
-                        tensor(vec![0.7], [1, 1], &device),
-                    ))
-                })
-                .collect::<Vec<_>>()
+            (0..2).map(|i| values(input.step(&mut run, i, &device))).collect::<Vec<_>>()
         };
         let (seven, eight) = (second(7), second(8));
         assert_eq!(seven[0], eight[0]);
@@ -518,16 +509,10 @@ mod tests {
             let input = random(&config, 3, 9);
             let loss = |weights: &Weights, device: &Device| {
                 let net = Network::new(weights, device);
-                let s = config.input;
                 let mut run = net.start(3);
                 let mut sum: Option<Tensor<1>> = None;
                 for i in 0..3 {
-                    let frame = input.frames[i * 3 * s * s..(i + 1) * 3 * s * s].to_vec();
-                    let d = run.step(
-                        tensor(frame, [1, 3, s, s], device),
-                        tensor(input.lights[3 * i..3 * i + 3].to_vec(), [1, 3], device),
-                        tensor(vec![0.7], [1, 1], device),
-                    );
+                    let d = input.step(&mut run, i, device);
                     let weight = tensor(vec![1.0, -2.0, 0.5], [1, 3], device);
                     let term = (d * weight).sum();
                     sum = Some(match sum {
@@ -578,17 +563,11 @@ mod tests {
             let input = random(&config, 10, 12);
             let run = |device: &Device| {
                 let net = Network::new(&weights, device);
-                let s = config.input;
                 let mut sequence = net.start(10);
                 let mut directions = Vec::new();
                 let mut sum = tensor(vec![0.0], [1], device);
                 for i in 0..10 {
-                    let frame = input.frames[i * 3 * s * s..(i + 1) * 3 * s * s].to_vec();
-                    let d = sequence.step(
-                        tensor(frame, [1, 3, s, s], device),
-                        tensor(input.lights[3 * i..3 * i + 3].to_vec(), [1, 3], device),
-                        tensor(vec![0.7], [1, 1], device),
-                    );
+                    let d = input.step(&mut sequence, i, device);
                     directions.extend(values(d.clone()));
                     sum = sum + (d * tensor(vec![1.0, -2.0, 0.5], [1, 3], device)).sum();
                 }
