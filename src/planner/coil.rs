@@ -1,10 +1,11 @@
 //! COIL-PS: the learned planner. It looks at all pictures so far and names any direction within reach.
 
-use super::{PlanError, Planner, View};
+use super::{Learned, PlanError, Planner, View};
 use crate::camera::Domain;
 use crate::light;
 use crate::policy::{Policy, Sequence};
 use glam::Vec3;
+use std::collections::BTreeMap;
 
 /// The learned planner, with a loaded [`Policy`].
 #[derive(Clone, Debug)]
@@ -38,6 +39,41 @@ impl Coil {
     #[must_use]
     pub fn sequence(&self) -> Option<&Sequence> {
         self.run.as_ref()
+    }
+}
+
+/// Loaded policies by the name of their planner; `coil-blank` is the one that was trained on black pictures.
+#[derive(Clone, Debug, Default)]
+pub struct Policies(BTreeMap<String, Policy>);
+
+impl Policies {
+    /// Adds the policy of planner `name`, or replaces it.
+    pub fn insert(&mut self, name: impl Into<String>, policy: Policy) {
+        self.0.insert(name.into(), policy);
+    }
+
+    /// The policy of planner `name`.
+    #[must_use]
+    pub fn get(&self, name: &str) -> Option<&Policy> {
+        self.0.get(name)
+    }
+}
+
+impl Learned for Policies {
+    fn planner(&self, name: &str, start: Vec3) -> Option<Box<dyn Planner>> {
+        let policy = self.get(name)?.clone();
+        Some(Box::new(match name {
+            "coil-blank" => Coil::blank(policy, start),
+            _ => Coil::new(policy, start),
+        }))
+    }
+
+    fn most_lights(&self, name: &str) -> Option<usize> {
+        Some(self.get(name)?.config().max_frames)
+    }
+
+    fn network(&self, name: &str, reach: f32) -> Option<String> {
+        Some(self.get(name)?.within(reach).header().network.clone())
     }
 }
 

@@ -1,6 +1,7 @@
 //! Model files: two ONNX graphs of one network, and what their metadata must say before they are run.
 
 use super::config::{Config, FORMAT};
+use crate::fingerprint::Fingerprint;
 use tract_onnx::pb;
 use tract_onnx::prelude::*;
 
@@ -99,12 +100,6 @@ pub enum ModelError {
     Run(String),
 }
 
-/// FNV-1a of bytes: detects damage, not forgery.
-#[must_use]
-pub fn fingerprint(bytes: impl IntoIterator<Item = u8>) -> u64 {
-    bytes.into_iter().fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
-}
-
 /// Reads a part and checks what it says of itself.
 pub(crate) fn read(part: &'static str, bytes: &[u8]) -> Result<(pb::ModelProto, Header), ModelError> {
     let damaged = |detail: String| ModelError::Damaged { part, detail };
@@ -131,7 +126,7 @@ pub(crate) fn read(part: &'static str, bytes: &[u8]) -> Result<(pb::ModelProto, 
         .map_err(|e| damaged(format!("{KEY_CONFIG}: {e}")))?;
     config.check().map_err(|e| damaged(format!("{KEY_CONFIG}: {e}")))?;
     let constants = proto.graph.as_ref().map(|g| g.initializer.as_slice()).unwrap_or_default();
-    let found = format!("{:016x}", fingerprint(constants.iter().flat_map(|t| t.raw_data.iter().copied())));
+    let found = Fingerprint::of(constants.iter().flat_map(|t| t.raw_data.iter().copied())).to_string();
     let expected = needed(KEY_FINGERPRINT, &found)?;
     if found != expected {
         return Err(ModelError::Fingerprint { part, found, expected });

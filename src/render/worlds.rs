@@ -10,6 +10,7 @@ use super::material::{Abc, Material};
 use super::scene::{Options, Scene};
 use super::view::{Pose, Shape};
 use super::{RenderError, Sculpture};
+use crate::fingerprint::Fingerprint;
 use crate::rng::Rng;
 use glam::Mat3;
 
@@ -246,32 +247,27 @@ pub fn is_set(name: &str) -> bool {
 /// Material of a sculpture that is named without one.
 pub const MATERIAL: &str = "specular-maroon-phenolic";
 
-/// A number that stands for what the test objects look like: FNV-1a over masks, normals and three pictures of each at
+/// A number that stands for what the test objects look like: a [`Fingerprint`] of masks, normals and three pictures of each at
 /// 32 × 32 pixels, in 8-bit steps. Whoever reports on `worlds-v1` checks it against [`CHECKSUM`].
 ///
 /// # Errors
 /// [`RenderError`], which would be a defect.
 pub fn checksum() -> Result<u64, RenderError> {
-    let mut hash = 0xcbf2_9ce4_8422_2325u64;
-    let mut add = |bytes: &[u8]| {
-        for &b in bytes {
-            hash = (hash ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3);
-        }
-    };
+    let mut print = Fingerprint::default();
     let step = |v: f32| (v * 64.0 + 0.5).floor().clamp(0.0, 255.0) as u8;
     for number in 0..TEST_OBJECTS {
         let scene = test_object(number).scene(&Options { size: 32, ..Options::default() })?;
         for (i, n) in scene.view.mask.indices().iter().zip(scene.truth()) {
-            add(&i.to_le_bytes());
-            add(&[step(n.x + 1.0), step(n.y + 1.0), step(n.z + 1.0)]);
+            print.add(i.to_le_bytes());
+            print.add([step(n.x + 1.0), step(n.y + 1.0), step(n.z + 1.0)]);
         }
         for light in crate::light::fibonacci_hemisphere(3) {
             for value in scene.render(light) {
-                add(&value.map(step));
+                print.add(value.map(step));
             }
         }
     }
-    Ok(hash)
+    Ok(print.value())
 }
 
 /// What [`checksum`] gives on every platform.

@@ -6,7 +6,7 @@
 use super::adamw::AdamW;
 use super::fit::{Recipe, Trainer};
 use super::weights::Weights;
-use crate::policy::file::fingerprint;
+use crate::fingerprint::Fingerprint;
 use serde::{Deserialize, Serialize};
 
 const MAGIC: &[u8; 8] = b"coilrun1";
@@ -52,7 +52,7 @@ pub fn write(t: &Trainer) -> Vec<u8> {
     for weights in t.average.iter().chain(t.best.iter().map(|(best, _)| best)) {
         weights.params.iter().for_each(|p| numbers(&p.values));
     }
-    let print = fingerprint(out.iter().copied());
+    let print = Fingerprint::of(out.iter().copied()).value();
     out.extend(print.to_le_bytes());
     out
 }
@@ -67,7 +67,7 @@ pub fn read(bytes: &[u8]) -> Result<Trainer, CheckpointError> {
         return Err(CheckpointError::Foreign);
     }
     let (body, print) = bytes.split_last_chunk::<8>().ok_or_else(|| damaged("too short"))?;
-    if fingerprint(body.iter().copied()) != u64::from_le_bytes(*print) {
+    if Fingerprint::of(body.iter().copied()).value() != u64::from_le_bytes(*print) {
         return Err(damaged("its fingerprint is wrong"));
     }
     let rest = &body[MAGIC.len()..];

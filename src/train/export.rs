@@ -5,6 +5,7 @@ use super::network::{Border, Ops, encode_frame, next_direction};
 use super::onnx::{Attribute, Graph, Value};
 use super::tape::{LENGTH_EPSILON, NORM_EPSILON};
 use super::weights::Weights;
+use crate::fingerprint::Fingerprint;
 use crate::policy::config::FORMAT;
 use crate::policy::file::{self, ModelFiles};
 use std::f32::consts::FRAC_2_PI;
@@ -19,7 +20,7 @@ pub fn export(weights: &Weights, note: &str) -> ModelFiles {
     let config = &folded.config;
     let (s, g, c) = (config.input, config.grid(), config.channels[3]);
     let identity = folded.params.iter().flat_map(|p| p.values.iter().flat_map(|v| v.to_le_bytes()));
-    let identity = format!("{:016x}", file::fingerprint(identity));
+    let identity = Fingerprint::of(identity).to_string();
 
     let mut o = Exporter::new("coil_encoder", &folded);
     let frame = o.graph.input("frame", &[1, 3, s, s]);
@@ -88,7 +89,7 @@ impl<'a> Exporter<'a> {
 
     fn finish(mut self, part: &str, identity: &str, note: &str) -> Vec<u8> {
         let config = serde_json::to_string(&self.weights.config).expect("a configuration is plain data");
-        let fingerprint = format!("{:016x}", file::fingerprint(self.graph.constant_bytes()));
+        let fingerprint = Fingerprint::of(self.graph.constant_bytes()).to_string();
         for (key, value) in [
             (file::KEY_FORMAT, FORMAT.to_string().as_str()),
             (file::KEY_PART, part),

@@ -2,15 +2,12 @@
 
 use super::picture::Picture;
 use super::stack::Observations;
-use super::{direction, fail, plain};
+use super::{direction, fail, mask_of, plain};
 use crate::light;
-use crate::planner::coil::Coil;
-use crate::planner::{Learned, Planner};
+use crate::planner::Learned;
+use crate::planner::coil::Policies;
 use crate::policy;
-use crate::stack::Mask;
 use crate::view;
-use glam::Vec3;
-use std::collections::BTreeMap;
 use std::rc::Rc;
 use wasm_bindgen::prelude::*;
 
@@ -77,8 +74,7 @@ impl PolicyRunner {
         reach: f32,
         lights: usize,
     ) -> Result<(), JsError> {
-        let inside: Vec<bool> = mask.iter().map(|&m| m != 0).collect();
-        let mask = Mask::new(width, height, &inside).map_err(fail)?;
+        let mask = mask_of(mask, width, height)?;
         self.run = Some(self.policy.start(&mask, reach.to_radians(), lights));
         Ok(())
     }
@@ -105,23 +101,6 @@ impl PolicyRunner {
 #[derive(Default)]
 pub struct Models(Rc<Policies>);
 
-#[derive(Clone, Default)]
-struct Policies(BTreeMap<String, policy::Policy>);
-
-impl Learned for Policies {
-    fn planner(&self, name: &str, start: Vec3) -> Option<Box<dyn Planner>> {
-        let policy = self.0.get(name)?.clone();
-        Some(match name {
-            "coil-blank" => Box::new(Coil::blank(policy, start)),
-            _ => Box::new(Coil::new(policy, start)),
-        })
-    }
-
-    fn network(&self, name: &str, reach: f32) -> Option<String> {
-        Some(self.0.get(name)?.within(reach).header().network.clone())
-    }
-}
-
 impl Models {
     pub(super) fn shared(&self) -> Rc<dyn Learned> {
         self.0.clone()
@@ -140,7 +119,7 @@ impl Models {
     /// Loads the planner `name` from its two ONNX files (`encoder.onnx` and `step.onnx`).
     pub fn add(&mut self, name: String, encoder: Vec<u8>, step: Vec<u8>) -> Result<(), JsError> {
         let policy = policy::Policy::load(&policy::ModelFiles { encoder, step }).map_err(fail)?;
-        Rc::make_mut(&mut self.0).0.insert(name, policy);
+        Rc::make_mut(&mut self.0).insert(name, policy);
         Ok(())
     }
 
@@ -149,8 +128,8 @@ impl Models {
     pub fn add_limited(&mut self, name: &str, encoder: Vec<u8>, step: Vec<u8>) -> Result<(), JsError> {
         let limited = policy::Policy::load(&policy::ModelFiles { encoder, step }).map_err(fail)?;
         let policies = Rc::make_mut(&mut self.0);
-        let whole = policies.0.get_mut(name).ok_or_else(|| fail(format!("'{name}' is not loaded")))?;
-        *whole = whole.clone().with_limited(limited);
+        let whole = policies.get(name).cloned().ok_or_else(|| fail(format!("'{name}' is not loaded")))?;
+        policies.insert(name, whole.with_limited(limited));
         Ok(())
     }
 
@@ -158,7 +137,7 @@ impl Models {
     #[must_use]
     pub fn insight(&self, name: &str, pictures: &Observations, lights: usize) -> Option<Insight> {
         let stack = &pictures.of.stack;
-        let run = self.0.0.get(name)?.start(&stack.mask, light::reach(&stack.lights), lights);
+        let run = self.0.get(name)?.start(&stack.mask, light::reach(&stack.lights), lights);
         Some(Insight(run))
     }
 }

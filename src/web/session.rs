@@ -1,10 +1,9 @@
 //! The loop for a camera of the caller's: the planner names a direction, the caller takes the picture.
 
-use super::{direction, directions, fail, flat};
+use super::{direction, directions, fail, flat, mask_of};
 use crate::camera::{Domain, Observation};
 use crate::planner::{self, Choice, Setup};
 use crate::session::{self, Step};
-use crate::stack::Mask;
 use wasm_bindgen::prelude::*;
 
 /// A capture of T lights in progress: `next` says where the light should be, `observe` takes in the picture.
@@ -28,8 +27,7 @@ impl Session {
         reach: f32,
         seed: u32,
     ) -> Result<Self, JsError> {
-        let inside: Vec<bool> = mask.iter().map(|&m| m != 0).collect();
-        let mask = Mask::new(width, height, &inside).map_err(fail)?;
+        let mask = mask_of(mask, width, height)?;
         let fixed = planner::info(planner).map_err(fail)?.choice == Choice::Fixed;
         let domain = match directions(candidates)? {
             list if list.is_empty() || fixed => Domain::Hemisphere { reach: reach.to_radians() },

@@ -2,7 +2,7 @@
 
 use super::picture::Picture;
 use super::tiles::Tiles;
-use super::{direction, directions, fail, flat};
+use super::{direction, directions, fail, flat, mask_of};
 use crate::camera::{Camera, Observation};
 use crate::dataset::lp::write_lp;
 use crate::error;
@@ -321,8 +321,7 @@ impl Solution {
 /// byte for each pixel of a `width × height` image, not 0 on the object. Takes seconds for large objects.
 #[wasm_bindgen(js_name = integrateNormals)]
 pub fn integrate_normals(mask: &[u8], width: u32, height: u32, normals: &[f32]) -> Result<Vec<f32>, JsError> {
-    let inside: Vec<bool> = mask.iter().map(|&m| m != 0).collect();
-    let mask = Mask::new(width, height, &inside).map_err(fail)?;
+    let mask = mask_of(mask, width, height)?;
     let depth = surface::integrate(&mask, &directions(normals)?, &Integration::default(), || false);
     Ok(depth.map_err(fail)?.heights)
 }

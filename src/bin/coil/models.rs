@@ -1,11 +1,13 @@
 //! The trained planners of a `models` folder, by planner name. A build without the feature `policy` has none.
 
-use coil_ps::planner::{Learned, Planner};
-use glam::Vec3;
 #[cfg(feature = "policy")]
+pub use coil_ps::planner::coil::Policies as Models;
+#[cfg(feature = "policy")]
+use {crate::model, anyhow::Context, coil_ps::policy::Policy, std::path::PathBuf};
+#[cfg(not(feature = "policy"))]
 use {
-    crate::model, anyhow::Context, coil_ps::planner::coil::Coil, coil_ps::policy::Policy,
-    std::collections::BTreeMap, std::path::PathBuf,
+    coil_ps::planner::{Learned, Planner},
+    glam::Vec3,
 };
 
 /// Planner name, and the folder of its two files under `models`. Beside it, where there is one, is the folder of the network for
@@ -32,11 +34,8 @@ pub struct Folder {
 }
 
 /// Loaded policies.
-#[derive(Default)]
-pub struct Models {
-    #[cfg(feature = "policy")]
-    policies: BTreeMap<&'static str, Policy>,
-}
+#[cfg(not(feature = "policy"))]
+pub struct Models;
 
 impl Folder {
     /// Loads the policies that `planners` name.
@@ -45,7 +44,7 @@ impl Folder {
     /// A file that is missing or can't be used.
     #[cfg(feature = "policy")]
     pub fn load(&self, planners: &[String]) -> anyhow::Result<Models> {
-        let mut policies = BTreeMap::new();
+        let mut models = Models::default();
         for (name, folder) in FOLDERS.iter().filter(|(name, _)| planners.iter().any(|p| p == name)) {
             let load = |folder: &str| {
                 let folder = self.models.join(folder);
@@ -58,31 +57,15 @@ impl Folder {
                 true => policy.with_limited(load(&limited)?),
                 false => policy,
             };
-            policies.insert(*name, policy);
+            models.insert(*name, policy);
         }
-        Ok(Models { policies })
+        Ok(models)
     }
 
     /// No policies.
     #[cfg(not(feature = "policy"))]
     pub fn load(&self, _planners: &[String]) -> anyhow::Result<Models> {
-        Ok(Models::default())
-    }
-}
-
-#[cfg(feature = "policy")]
-impl Learned for Models {
-    fn planner(&self, name: &str, start: Vec3) -> Option<Box<dyn Planner>> {
-        let policy = self.policies.get(name)?.clone();
-        Some(if name == "coil-blank" {
-            Box::new(Coil::blank(policy, start))
-        } else {
-            Box::new(Coil::new(policy, start))
-        })
-    }
-
-    fn network(&self, name: &str, reach: f32) -> Option<String> {
-        Some(self.policies.get(name)?.within(reach).header().network.clone())
+        Ok(Models)
     }
 }
 

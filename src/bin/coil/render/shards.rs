@@ -29,7 +29,7 @@ pub struct Rendered {
     pub name: String,
     pub images: usize,
     pub pixels: usize,
-    /// FNV-1a of all files, in hexadecimal.
+    /// Fingerprint of all files.
     pub checksum: String,
 }
 
@@ -103,19 +103,4 @@ pub fn merge(folders: &[String], out: &Path, json: bool) -> anyhow::Result<ExitC
     let manifest = Manifest { shard: None, rendered, ..shards.swap_remove(0).1 };
     output::write_json(&out.join("render.json"), &manifest)?;
     report(&manifest, out, total, json)
-}
-
-/// FNV-1a.
-pub struct Fnv(pub u64);
-
-impl Fnv {
-    pub fn new() -> Self {
-        Self(0xcbf2_9ce4_8422_2325)
-    }
-
-    pub fn add(&mut self, bytes: &[u8]) {
-        for &b in bytes {
-            self.0 = (self.0 ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3);
-        }
-    }
 }
