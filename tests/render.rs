@@ -72,6 +72,11 @@ fn the_learned_planner_can_be_solved_with() {
     let lit = solve(&["--planner", "coil", "--lights", "5", "--models", models]);
     assert!(lit.contains("5 lights, ls: expected"), "{lit}");
     assert_ne!(lit, solve(&["--planner", "lipids", "--lights", "5"]));
+    for command in [&["solve", "--solver", "ls"][..], &["eval", "--draws", "1"]] {
+        let more = ["blob:3", "--planner", "coil", "--lights", "40", "--models", models];
+        let message = refused(&[command, &more].concat());
+        assert!(message.contains("coil is not defined for 40 lights: it plans at most 32"), "{message}");
+    }
     let nothing = folder("no-models");
     let error =
         coil(&["solve", "blob:3+nylon", "--size", "32", "--planner", "coil", "--models", text(&nothing)]);
@@ -90,6 +95,84 @@ fn solving_goes_on_after_an_object_that_fails() {
     assert!(said.contains("2 objects: expected") && said.contains("in the median"), "{said}");
 }
 
+/// Its first lights may lie in one plane, as DiLiGenT's do: nothing can be told from them, but from more.
+#[test]
+fn solving_stops_early_only_where_the_pictures_can_be_judged() {
+    let set = folder("planar-first");
+    let lights = ["0,0,1", "0.6,0,0.8", "-0.6,0,0.8", "0.8,0,0.6", "-0.8,0,0.6", "0,0.6,0.8", "0,-0.6,0.8"];
+    let lights: Vec<&str> = lights.iter().flat_map(|l| ["--lights", l]).collect();
+    let dull = ["--material", "lambert:0.8", "--bounces", "0", "--size", "24", "--out", text(&set)];
+    good(&[&["render", "sphere"][..], &lights, &dull].concat());
+    let solve = |stop| good(&["solve", text(&set), "--solver", "ls", "--stop-at", stop]);
+    assert!(solve("80").contains("6 lights, ls: expected"), "the first five lie in a plane");
+    assert!(solve("0.0001").contains("7 lights, ls: expected"));
+}
+
+#[test]
+fn two_objects_of_one_name_are_two() {
+    let at = folder("same-name");
+    let set = |name: &str| at.join(name).join("ball");
+    for (object, name) in [("sphere", "a"), ("blob:3", "b")] {
+        let out = at.join(name);
+        good(&["render", object, "--lights", "fibonacci:6", "--size", "24", "--out", text(&out)]);
+        std::fs::rename(out.join(object.replace(':', "-")), set(name)).unwrap();
+    }
+    let (a, b, out) = (set("a"), set("b"), at.join("out"));
+    let both = [text(&a), text(&b)];
+    let table = good(&[&["eval"][..], &both, &["--planner", "all", "--out", text(&out)]].concat());
+    assert!(table.lines().nth(1).unwrap().contains(" ball-2 "), "{table}");
+    assert!(out.join("ball").is_dir() && out.join("ball-2").is_dir());
+    let solved = good(&[&["solve"][..], &both, &["--solver", "ls"]].concat());
+    assert!(solved.contains("ball: ") && solved.contains("ball-2: "), "{solved}");
+    let lp = at.join("lp");
+    good(&[&["export"][..], &both, &["--to", "lp", "--out", text(&lp)]].concat());
+    assert!(lp.join("ball.lp").is_file() && lp.join("ball-2.lp").is_file());
+    let info = good(&[&["info"][..], &both].concat());
+    assert!(info.contains(text(&a)) && info.contains(text(&b)), "{info}");
+}
+
+/// `coil … | head -1`: whoever has read enough ends nothing.
+#[cfg(unix)]
+#[test]
+fn output_that_nobody_reads_is_no_error() {
+    use std::process::Stdio;
+    let out = folder("pipe");
+    let args = ["render", "sphere", "--lights", "fibonacci:4", "--size", "16", "--json", "--out", text(&out)];
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let mut command = Command::new(env!("CARGO_BIN_EXE_coil"));
+    let done = command.args(args).stdout(writer).stderr(Stdio::piped()).output().unwrap();
+    let log = String::from_utf8_lossy(&done.stderr);
+    assert!(done.status.success() && log.is_empty(), "{log}");
+    assert!(out.join("render.json").is_file());
+    if Path::new("/dev/full").exists() {
+        let full = std::fs::File::create("/dev/full").unwrap();
+        let done = Command::new(env!("CARGO_BIN_EXE_coil")).args(["info", text(&out)]).stdout(full).output();
+        let done = done.unwrap();
+        assert!(done.status.code() == Some(2) && String::from_utf8_lossy(&done.stderr).contains("disk full"));
+    }
+}
+
+#[test]
+fn the_study_writes_what_it_is_asked_to() {
+    let out = folder("study");
+    let study = |more: &[&str]| {
+        let args = ["study", "k", "sphere", "--size", "16", "--k", "4,6", "--lights", "3..5"];
+        let run = Command::new(env!("CARGO_BIN_EXE_coil")).args(args).args(more).current_dir(&out).output();
+        let run = run.unwrap();
+        assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+        String::from_utf8(run.stdout).unwrap()
+    };
+    assert!(study(&[]).contains("K = 6"));
+    assert_eq!(std::fs::read_dir(&out).unwrap().count(), 0);
+    study(&["--plot", "k.svg"]);
+    assert!(out.join("k.svg").is_file());
+    good(&["render", "sphere", "--lights", "fibonacci:4", "--size", "16", "--out", text(&out)]);
+    let short = coil(&["study", "k", text(&out), "--k", "9", "--lights", "3..5"]);
+    let log = String::from_utf8_lossy(&short.stderr);
+    assert!(short.status.code() == Some(1) && log.contains("4 photos for up to 5 lights"), "{log}");
+}
+
 /// A run goes on by its own recipe: an option of another one is not ignored in silence.
 #[cfg(feature = "train")]
 #[test]
@@ -106,6 +189,10 @@ fn a_resumed_training_takes_no_other_recipe() {
         let message = refused(&["train", network, "--out", "nowhere", "--validate-every", "0"]);
         assert!(message.contains("0 is not in 1.."), "{message}");
     }
+    let message = refused(&["train", "policy", "--out", "nowhere", "--validation-objects", "0"]);
+    assert!(message.contains("0 is not in 1.."), "{message}");
+    let message = refused(&["train", "policy", "--out", "nowhere", "--resolution", "1"]);
+    assert!(message.contains("pictures of 1×1 pixels: 16 to"), "{message}");
 }
 
 #[test]
@@ -195,12 +282,28 @@ fn what_cannot_be_rendered_is_named() {
     let out = folder("refused");
     let nan = out.join("nan.obj");
     std::fs::write(&nan, "v 0 0 nan\nf 1 1 1\n").unwrap();
-    let o = text(&out);
+    let (o, under) = (text(&out), nan.join("file"));
     for (args, expected) in [
         (vec!["render", "--out", o], "what to render?"),
         (vec!["render", "cube:1", "--out", o], "FAMILY:SEED"),
         (vec!["render", text(&nan), "--out", o], "vertex 1"),
         (vec!["render", "missing.obj", "--out", o], "missing.obj"),
+        (vec!["render", "foo.off", "--out", o], "'foo.off': meshes end in .obj, .ply or .stl"),
+        (vec!["render", "sphere:1", "--out", o], "sphere takes no seed"),
+        (vec!["solve", "sphere", "--lights", "5"], "--lights 5: all lights are taken unless --planner"),
+        (vec!["solve", "sphere", "--planner", "dc05", "--lights", "2"], "--lights 2: 3 to 1000"),
+        (vec!["solve", "sphere", "--cliff", "nan"], "a number of pixels above 0"),
+        (vec!["eval", "sphere", "--planner", "random,random"], "planner: random is there twice"),
+        (vec!["eval", "sphere", "--json", text(&under)], "nan.obj"),
+        (vec!["eval", "sphere", "--out", text(&under)], "nan.obj"),
+        (
+            vec!["study", "k", "sphere", "--k", "2", "--lights", "3"],
+            "--k 2: less candidates than the 3 lights",
+        ),
+        (vec!["tune", "--sets", "0"], "0 is not in 1.."),
+        (vec!["tune", "--uncertainty", "x.json", "--objects", "0"], "0 is not in 1.."),
+        (vec!["train", "solver", "--out", o, "--groups", "0"], "0 is not in 1.."),
+        (vec!["train", "solver", "--out", o, "--rate", "nan"], "a number between 0 and 1"),
         (vec!["render", "sphere", "--material", "cheese", "--out", o], "no material 'cheese'"),
         (vec!["render", "sphere", "--size", "0", "--out", o], "image size 0"),
         (vec!["render", "sphere", "--lights", "0,0,-1", "--out", o], "behind the object"),

@@ -1,10 +1,13 @@
 //! Triangle meshes from bytes: OBJ, PLY (ascii and binary) and STL (ascii and binary).
 //!
-//! Any triangle soup is accepted: open, non-manifold, mixed winding. Normals are those of the file where it has
+//! Any triangle soup is accepted: open, non-manifold, mixed winding. Faces with more corners are cut into triangles in
+//! their plane. Vertices that no face uses are left out. Normals are those of the file where it has
 //! them, else each corner averages the faces around its vertex that meet at less than [`CREASE`], so that
 //! smooth areas are smooth and edges stay sharp.
 
-use glam::Vec3;
+use earcut::Earcut;
+use earcut::utils3d::project3d_to_2d;
+use glam::{DVec3, Vec3};
 use std::collections::HashMap;
 
 /// Faces meeting at a larger angle than this keep an edge between them (cosine of 40°).
@@ -12,6 +15,10 @@ pub const CREASE: f32 = 0.766_044_4;
 
 /// Meshes with more triangles are refused.
 pub const MAX_TRIANGLES: usize = 20_000_000;
+
+/// A mesh whose centre is farther from the origin than so many times its extent is moved there: as f32 its coordinates
+/// (of a survey, say) would be steps.
+const FAR: f64 = 16.0;
 
 /// Why a mesh can't be read.
 #[derive(Debug, thiserror::Error, PartialEq)]
@@ -24,7 +31,7 @@ pub enum MeshError {
     Empty {
         /// Vertices read.
         vertices: usize,
-        /// Triangles read.
+        /// Faces read.
         faces: usize,
     },
     /// Too large.
@@ -36,7 +43,7 @@ pub enum MeshError {
         /// Which vertex, from 1.
         index: usize,
         /// Its coordinate.
-        value: f32,
+        value: f64,
     },
     /// A face names a vertex that is not there.
     #[error("face {face}: vertex {index} does not exist, the mesh has {vertices}")]
@@ -75,15 +82,33 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
     /// Unit normals of the corners of each triangle.
     pub normals: Vec<[Vec3; 3]>,
+    /// Where the origin of `positions` lies in the coordinates that were read: zero, but for a mesh far from theirs.
+    pub origin: DVec3,
 }
 
 /// What a parser has read.
 #[derive(Default)]
 struct Soup {
-    positions: Vec<Vec3>,
+    positions: Vec<DVec3>,
     normals: Vec<Vec3>,
-    /// Vertex and normal (`u32::MAX`: none) of each corner.
-    faces: Vec<[(u32, u32); 3]>,
+    /// Vertex and normal (`u32::MAX`: none) of each corner, face after face.
+    corners: Vec<(u32, u32)>,
+    /// Corners of each face, 3 or more.
+    faces: Vec<usize>,
+}
+
+impl Soup {
+    fn face(&mut self, corners: impl IntoIterator<Item = (u32, u32)>) {
+        let before = self.corners.len();
+        self.corners.extend(corners);
+        self.faces.push(self.corners.len() - before);
+    }
+
+    /// Refuses more than [`MAX_TRIANGLES`] vertices or triangles.
+    fn check_size(&self) -> Result<(), MeshError> {
+        let largest = (self.corners.len() - 2 * self.faces.len()).max(self.positions.len());
+        if largest > MAX_TRIANGLES { Err(MeshError::Huge(largest)) } else { Ok(()) }
+    }
 }
 
 const NONE: u32 = u32::MAX;
@@ -109,47 +134,127 @@ impl Mesh {
     /// # Errors
     /// [`MeshError`] for an empty or huge mesh, a coordinate that is not finite, a vertex that is not there.
     pub fn new(positions: Vec<Vec3>, triangles: &[[u32; 3]]) -> Result<Self, MeshError> {
-        let faces = triangles.iter().map(|t| t.map(|v| (v, NONE))).collect();
-        Self::from_soup(Soup { positions, normals: Vec::new(), faces })
+        let mut soup =
+            Soup { positions: positions.iter().map(|p| p.as_dvec3()).collect(), ..Soup::default() };
+        for triangle in triangles {
+            soup.face(triangle.map(|v| (v, NONE)));
+        }
+        Self::from_soup(soup)
     }
 
     fn from_soup(soup: Soup) -> Result<Self, MeshError> {
-        let Soup { positions, normals: given, faces } = soup;
-        let largest = faces.len().max(positions.len());
-        if largest > MAX_TRIANGLES {
-            return Err(MeshError::Huge(largest));
-        }
-        for (i, p) in positions.iter().enumerate() {
-            if let Some(value) = p.to_array().into_iter().find(|v| v.is_nan() || v.abs() > 1e15) {
-                return Err(MeshError::NotFinite { index: i + 1, value });
+        soup.check_size()?;
+        let Soup { positions: read, normals: given, corners, faces } = soup;
+        let vertices = read.len();
+        let mut start = 0;
+        for (i, &count) in faces.iter().enumerate() {
+            for &(v, _) in &corners[start..start + count] {
+                let missing = MeshError::Index { face: i + 1, index: i64::from(v), vertices };
+                let p = read.get(v as usize).ok_or(missing)?;
+                if let Some(value) = p.to_array().into_iter().find(|v| v.is_nan() || v.abs() > 1e15) {
+                    return Err(MeshError::NotFinite { index: v as usize + 1, value });
+                }
             }
+            start += count;
         }
-        let vertices = positions.len();
-        let mut triangles = Vec::with_capacity(faces.len());
-        let mut flat = Vec::with_capacity(faces.len());
-        let mut corners = Vec::with_capacity(faces.len());
-        for (i, face) in faces.iter().enumerate() {
-            if let Some(&(v, _)) = face.iter().find(|c| c.0 as usize >= vertices) {
-                return Err(MeshError::Index { face: i + 1, index: i64::from(v), vertices });
-            }
-            let [a, b, c] = face.map(|c| positions[c.0 as usize].as_dvec3());
-            let cross = (b - a).cross(c - a);
-            if cross.length_squared() > 0.0 {
-                triangles.push(face.map(|c| c.0));
-                flat.push(cross.normalize().as_vec3());
-                corners.push(face.map(|c| given.get(c.1 as usize).copied().unwrap_or(Vec3::ZERO)));
+        let origin = origin(corners.iter().map(|c| read[c.0 as usize]));
+        let mut positions: Vec<Vec3> = read.iter().map(|p| (p - origin).as_vec3()).collect();
+        let mut triangles = Vec::with_capacity(corners.len() - 2 * faces.len());
+        let mut flat = Vec::with_capacity(triangles.capacity());
+        let mut normals = Vec::with_capacity(triangles.capacity());
+        let mut cutter = Cutter::default();
+        let mut rest = &corners[..];
+        for &count in &faces {
+            let (face, others) = rest.split_at(count);
+            rest = others;
+            for &cut in cutter.triangles(face.iter().map(|c| positions[c.0 as usize].as_dvec3())) {
+                let corners = cut.map(|k| face[k]);
+                let [a, b, c] = corners.map(|c| positions[c.0 as usize].as_dvec3());
+                let cross = (b - a).cross(c - a);
+                if cross.length_squared() > 0.0 {
+                    triangles.push(corners.map(|c| c.0));
+                    flat.push(cross.normalize().as_vec3());
+                    normals.push(corners.map(|c| given.get(c.1 as usize).copied().unwrap_or(Vec3::ZERO)));
+                }
             }
         }
         if triangles.is_empty() {
             return Err(MeshError::Empty { vertices, faces: faces.len() });
         }
+        drop_unused(&mut positions, &mut triangles);
         let smooth = smooth_normals(&positions, &triangles, &flat);
-        let normals = corners
-            .iter()
-            .zip(smooth)
-            .map(|(given, smooth)| std::array::from_fn(|k| given[k].normalize_or(smooth[k])))
-            .collect();
-        Ok(Self { positions, triangles, normals })
+        for (corner, smooth) in normals.iter_mut().flatten().zip(smooth.iter().flatten()) {
+            *corner = corner.normalize_or(*smooth);
+        }
+        Ok(Self { positions, triangles, normals, origin })
+    }
+}
+
+/// Where to move the origin for points whose distance from it is [`FAR`] above their extent: to their middle.
+fn origin(points: impl Iterator<Item = DVec3>) -> DVec3 {
+    let (low, high) = points.fold((DVec3::MAX, DVec3::MIN), |(low, high), p| (low.min(p), high.max(p)));
+    let middle = 0.5 * (low + high);
+    if middle.abs().max_element() > FAR * (high - low).max_element() { middle } else { DVec3::ZERO }
+}
+
+/// Leaves out the vertices of no triangle: they are not seen, and must not count for the object's extent.
+fn drop_unused(positions: &mut Vec<Vec3>, triangles: &mut [[u32; 3]]) {
+    let mut place = vec![NONE; positions.len()];
+    for &v in triangles.iter().flatten() {
+        place[v as usize] = 0;
+    }
+    for (at, new) in place.iter_mut().filter(|at| **at != NONE).zip(0..) {
+        *at = new;
+    }
+    let mut used = place.iter().map(|&at| at != NONE);
+    positions.retain(|_| used.next().unwrap_or(false));
+    for v in triangles.iter_mut().flatten() {
+        *v = place[*v as usize];
+    }
+}
+
+/// Cuts polygons into triangles; keeps its memory between them.
+#[derive(Default)]
+struct Cutter {
+    ears: Earcut<f64>,
+    points: Vec<[f64; 3]>,
+    flat: Vec<[f64; 2]>,
+    ends: Vec<usize>,
+    triangles: Vec<[usize; 3]>,
+}
+
+impl Cutter {
+    /// The triangles of a polygon, as numbers of its corners: a fan where it is convex (or no polygon of a plane at all),
+    /// else what ear clipping gives in its plane.
+    fn triangles(&mut self, corners: impl Iterator<Item = DVec3>) -> &[[usize; 3]] {
+        self.points.clear();
+        self.points.extend(corners.map(|p| p.to_array()));
+        self.triangles.clear();
+        if !self.is_convex() && project3d_to_2d(&self.points, self.points.len(), &mut self.flat) {
+            let none: &[usize] = &[];
+            self.ears.earcut(self.flat.iter().copied(), none, &mut self.ends);
+            self.triangles.extend(self.ends.chunks_exact(3).map(|t| [t[0], t[1], t[2]]));
+        }
+        if self.triangles.is_empty() {
+            self.triangles.extend((1..self.points.len() - 1).map(|k| [0, k, k + 1]));
+        }
+        &self.triangles
+    }
+
+    /// Whether no corner turns the other way round than the whole polygon, by more than rounding does.
+    fn is_convex(&self) -> bool {
+        if self.points.len() == 3 {
+            return true;
+        }
+        let corners = || self.points.iter().copied().map(DVec3::from);
+        let edges: Vec<DVec3> =
+            corners().zip(corners().cycle().skip(1)).filter_map(|(a, b)| (b - a).try_normalize()).collect();
+        let first = DVec3::from(self.points[0]);
+        // Newell: twice the area that the polygon encloses, along its normal.
+        let area: DVec3 =
+            corners().zip(corners().cycle().skip(1)).map(|(a, b)| (a - first).cross(b - first)).sum();
+        let normal = area.normalize_or_zero();
+        edges.iter().zip(edges.iter().cycle().skip(1)).all(|(a, b)| a.cross(*b).dot(normal) > -1e-5)
     }
 }
 
@@ -205,9 +310,9 @@ fn text(data: &[u8]) -> impl Iterator<Item = (usize, std::borrow::Cow<'_, str>)>
     data.split(|&b| b == b'\n').enumerate().map(|(i, line)| (i + 1, String::from_utf8_lossy(line)))
 }
 
-fn three(words: &mut dyn Iterator<Item = &str>) -> Option<Vec3> {
-    let mut next = || words.next()?.parse::<f32>().ok();
-    Some(Vec3::new(next()?, next()?, next()?))
+fn three(words: &mut dyn Iterator<Item = &str>) -> Option<DVec3> {
+    let mut next = || words.next()?.parse::<f64>().ok();
+    Some(DVec3::new(next()?, next()?, next()?))
 }
 
 fn obj(data: &[u8]) -> Result<Soup, MeshError> {
@@ -225,7 +330,8 @@ fn obj(data: &[u8]) -> Result<Soup, MeshError> {
                 soup.positions.push(three(&mut words).ok_or_else(|| wrong("v needs three numbers"))?);
             }
             Some("vn") => {
-                soup.normals.push(three(&mut words).ok_or_else(|| wrong("vn needs three numbers"))?)
+                let normal = three(&mut words).ok_or_else(|| wrong("vn needs three numbers"))?;
+                soup.normals.push(normal.as_vec3());
             }
             Some("f") => {
                 corners.clear();
@@ -248,13 +354,11 @@ fn obj(data: &[u8]) -> Result<Soup, MeshError> {
                 if corners.len() < 3 {
                     return Err(wrong("a face needs three corners"));
                 }
-                soup.faces.extend((1..corners.len() - 1).map(|k| [corners[0], corners[k], corners[k + 1]]));
+                soup.face(corners.iter().copied());
             }
             _ => {}
         }
-        if soup.faces.len().max(soup.positions.len()) > MAX_TRIANGLES {
-            return Err(MeshError::Huge(soup.faces.len().max(soup.positions.len())));
-        }
+        soup.check_size()?;
     }
     Ok(soup)
 }
@@ -278,7 +382,8 @@ fn stl(data: &[u8]) -> Result<Soup, MeshError> {
         })?;
         for triangle in body.chunks_exact(50) {
             let number = |i: usize| f32::from_le_bytes(std::array::from_fn(|k| triangle[12 + 4 * i + k]));
-            corners.extend((0..3).map(|v| Vec3::new(number(3 * v), number(3 * v + 1), number(3 * v + 2))));
+            let vertex = |v: usize| Vec3::new(number(3 * v), number(3 * v + 1), number(3 * v + 2)).as_dvec3();
+            corners.extend((0..3).map(vertex));
         }
     } else {
         for (line, content) in text(data) {
@@ -295,18 +400,22 @@ fn stl(data: &[u8]) -> Result<Soup, MeshError> {
             return Err(MeshError::Huge(corners.len() / 3));
         }
     }
-    // STL repeats its vertices: join equal ones, so that smooth areas can be found.
+    // STL repeats its vertices: join those that will be equal, so that smooth areas can be found.
+    let origin = origin(corners.iter().copied());
     let mut soup = Soup::default();
     let mut known = HashMap::new();
-    let mut index = |p: Vec3| {
-        *known.entry(p.to_array().map(|v| (v + 0.0).to_bits())).or_insert_with(|| {
-            soup.positions.push(p);
-            (soup.positions.len() - 1) as u32
-        })
-    };
-    let faces =
-        corners.chunks_exact(3).map(|c| [(index(c[0]), NONE), (index(c[1]), NONE), (index(c[2]), NONE)]);
-    soup.faces = faces.collect();
+    for triangle in corners.chunks_exact(3) {
+        let mut index = |p: DVec3| {
+            *known.entry((p - origin).as_vec3().to_array().map(|v| (v + 0.0).to_bits())).or_insert_with(
+                || {
+                    soup.positions.push(p);
+                    (soup.positions.len() - 1) as u32
+                },
+            )
+        };
+        let corners = [triangle[0], triangle[1], triangle[2]].map(|p| (index(p), NONE));
+        soup.face(corners);
+    }
     Ok(soup)
 }
 
@@ -465,10 +574,10 @@ fn ply(data: &[u8]) -> Result<Soup, MeshError> {
         let has_normals = ["nx", "ny", "nz"].iter().all(|n| element.properties.iter().any(|p| p.name == *n));
         for i in 0..element.count {
             let short = || MeshError::Short(format!("{} {} of {}", element.name, i + 1, element.count));
-            let (mut p, mut n) = (Vec3::ZERO, Vec3::ZERO);
+            let (mut p, mut n) = (DVec3::ZERO, DVec3::ZERO);
             for property in &element.properties {
                 let Some(length) = property.list else {
-                    let value = values.next(property.number).ok_or_else(short)? as f32;
+                    let value = values.next(property.number).ok_or_else(short)?;
                     match property.name.as_str() {
                         "x" => p.x = value,
                         "y" => p.y = value,
@@ -492,17 +601,14 @@ fn ply(data: &[u8]) -> Result<Soup, MeshError> {
                     }
                 }
                 if corners.len() >= 3 {
-                    let corner = |k: usize| (corners[k], corners[k]);
-                    soup.faces.extend((1..corners.len() - 1).map(|k| [corner(0), corner(k), corner(k + 1)]));
-                    if soup.faces.len() > MAX_TRIANGLES {
-                        return Err(MeshError::Huge(soup.faces.len()));
-                    }
+                    soup.face(corners.iter().map(|&c| (c, c)));
+                    soup.check_size()?;
                 }
             }
             if element.name == "vertex" {
                 soup.positions.push(p);
                 if has_normals {
-                    soup.normals.push(n);
+                    soup.normals.push(n.as_vec3());
                 }
             }
         }
@@ -596,13 +702,99 @@ mod tests {
         }
     }
 
+    /// An L of six corners: 3 of 4 squares.
+    const CORNERS: [[f64; 2]; 6] = [[1., 1.], [0., 1.], [0., 0.], [2., 0.], [2., 2.], [1., 2.]];
+
+    fn area(m: &Mesh) -> Vec3 {
+        let cross = |t: &[u32; 3]| {
+            let [a, b, c] = t.map(|v| m.positions[v as usize]);
+            0.5 * (b - a).cross(c - a)
+        };
+        m.triangles.iter().map(cross).sum()
+    }
+
+    #[test]
+    fn faces_that_are_not_convex_keep_their_outline() {
+        for turned in 0..6 {
+            let corner = |k: usize| CORNERS[(k + turned) % 6];
+            // In a plane that leans, and wound either way.
+            let vertices: String = (0..6)
+                .map(|k| format!("{} {} {}\n", corner(k)[0], corner(k)[1], 0.5 * corner(k)[0]))
+                .collect();
+            for (order, side) in [("1 2 3 4 5 6", 1.0), ("6 5 4 3 2 1", -1.0)] {
+                let obj = format!("v {}\nf {order}\n", vertices.trim().replace('\n', "\nv "));
+                let m = Mesh::from_bytes("l.obj", obj.as_bytes()).unwrap();
+                let normal = side * Vec3::new(-0.5, 0.0, 1.0);
+                assert!((area(&m) - 3.0 * normal).length() < 1e-5, "{turned} {order}: {}", area(&m));
+                let absolute: f32 = m.normals.iter().map(|n| n[0].dot(normal.normalize())).sum();
+                assert!(absolute > 0.999 * m.triangles.len() as f32, "one triangle is turned over");
+            }
+            let ply = format!(
+                "ply\nformat ascii 1.0\nelement vertex 6\nproperty float x\nproperty float y\nproperty float z\n\
+                 element face 1\nproperty list uchar int vertex_indices\nend_header\n{vertices}6 0 1 2 3 4 5\n"
+            );
+            let m = Mesh::from_bytes("l.ply", ply.as_bytes()).unwrap();
+            assert!((area(&m) - 3.0 * Vec3::new(-0.5, 0.0, 1.0)).length() < 1e-5);
+        }
+        // No plane at all: still a mesh.
+        let line = "v 0 0 0\nv 1 0 0\nv 0 0 0\nv 0 1 0\nf 1 2 3 4\n";
+        assert!(Mesh::from_bytes("x.obj", line.as_bytes()).is_err());
+        let bow = "v 0 0 0\nv 1 1 0\nv 1 0 0\nv 0 1 0\nf 1 2 3 4\n";
+        assert!(Mesh::from_bytes("x.obj", bow.as_bytes()).is_ok());
+    }
+
+    #[test]
+    fn a_mesh_of_a_survey_keeps_its_shape() {
+        let away = DVec3::new(478_123.25, 5_429_876.5, 112.0);
+        let points: Vec<DVec3> =
+            TETRAHEDRON.lines().filter_map(|l| three(&mut l.strip_prefix("v ")?.split(' '))).collect();
+        let faces = [[0u32, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
+        let obj: String = points
+            .iter()
+            .map(|p| 0.01 * p + away)
+            .map(|p| format!("v {} {} {}\n", p.x, p.y, p.z))
+            .chain(faces.map(|f| format!("f {} {} {}\n", f[0] + 1, f[1] + 1, f[2] + 1)))
+            .collect();
+        let stl: String = faces
+            .iter()
+            .flatten()
+            .map(|&v| 0.01 * points[v as usize] + away)
+            .map(|p| format!("vertex {} {} {}\n", p.x, p.y, p.z))
+            .collect();
+        for (name, text) in [("t.obj", obj), ("t.stl", format!("solid t\n{stl}"))] {
+            let m = Mesh::from_bytes(name, text.as_bytes()).unwrap();
+            assert!((m.origin - away - 0.005).length() < 1e-6, "{name}: {}", m.origin);
+            assert_eq!(m.positions.len(), 4);
+            for (t, f) in m.triangles.iter().zip(faces) {
+                for (at, v) in t.iter().zip(f) {
+                    let there = m.positions[*at as usize].as_dvec3() + m.origin - away;
+                    assert!((there - 0.01 * points[v as usize]).length() < 1e-6, "{name}: {there}");
+                }
+            }
+        }
+        assert_eq!(Mesh::from_bytes("t.obj", TETRAHEDRON.as_bytes()).unwrap().origin, DVec3::ZERO);
+    }
+
+    #[test]
+    fn vertices_of_no_face_are_left_out() {
+        let m = Mesh::from_bytes("t.obj", TETRAHEDRON.as_bytes()).unwrap();
+        let more =
+            format!("v 900 0 0\nv nan 0 inf\n{}v 0 1e30 0\n", TETRAHEDRON.replace("f 1 3 2", "f 3 5 4"));
+        let more = more.replace("f 1 2 4", "f 3 4 6").replace("f 1/1 4/2 3/3", "f 3/1 6/2 5/3");
+        let same = Mesh::from_bytes("t.obj", more.as_bytes()).unwrap();
+        assert_eq!(
+            (&m.positions, &m.triangles, &m.normals),
+            (&same.positions, &same.triangles, &same.normals)
+        );
+    }
+
     #[test]
     fn bad_meshes_are_named() {
         let read = |s: &str| Mesh::from_bytes("m.obj", s.as_bytes()).unwrap_err();
         assert_eq!(read(""), MeshError::Empty { vertices: 0, faces: 0 });
         assert_eq!(read("v 0 0 0\nv 1 1 1\nv 2 2 2\nf 1 2 3\n"), MeshError::Empty { vertices: 3, faces: 1 });
         assert!(matches!(read("v 0 0 nan\nf 1 1 1\n"), MeshError::NotFinite { index: 1, .. }));
-        assert!(matches!(read("v 0 0 inf\n"), MeshError::NotFinite { .. }));
+        assert!(matches!(read("v 0 0 0\nv 0 0 inf\nf 1 1 2\n"), MeshError::NotFinite { index: 2, .. }));
         assert_eq!(read("v 0 0 0\nf 1 2 3\n"), MeshError::Index { face: 1, index: 2, vertices: 1 });
         assert_eq!(read("v 0 0 0\nf 1 -2 1\n"), MeshError::Index { face: 1, index: -2, vertices: 1 });
         assert!(matches!(read("v 0 0\n"), MeshError::Line { line: 1, .. }));

@@ -26,13 +26,26 @@ pub const FAMILIES: &[(&str, &str)] = &[
 
 /// Why there is no such sculpture.
 #[derive(Debug, thiserror::Error, PartialEq)]
-#[error("no sculpture '{name}': write FAMILY:SEED (as blob:7), where FAMILY is one of {}", families())]
+#[error("no sculpture '{name}': {}", right(name))]
 pub struct UnknownSculpture {
     name: String,
 }
 
-fn families() -> String {
-    FAMILIES.iter().map(|f| f.0).collect::<Vec<_>>().join(", ")
+/// Families that are one object each, not one a seed.
+const SEEDLESS: [&str; 2] = ["sphere", "bowl"];
+
+/// What would be right instead of `name`.
+fn right(name: &str) -> String {
+    let family = name.split(':').next().unwrap_or_default();
+    if SEEDLESS.contains(&family) {
+        return format!("{family} takes no seed, write {family}");
+    }
+    let seeded: Vec<&str> = FAMILIES.iter().map(|f| f.0).filter(|f| !SEEDLESS.contains(f)).collect();
+    format!(
+        "write FAMILY:SEED (as blob:7), where FAMILY is one of {}; or {}, without a seed",
+        seeded.join(", "),
+        SEEDLESS.join(" or ")
+    )
 }
 
 /// Which way up a sculpture can be shown.
@@ -692,6 +705,9 @@ mod tests {
         for bad in ["", "blob", "blob:", "blob:x", "blob:-1", "sphere:1", "bust:3"] {
             assert!(Sculpture::named(bad).is_err(), "{bad}");
         }
+        let said = |name| Sculpture::named(name).unwrap_err().to_string();
+        assert!(said("sphere:1").ends_with("sphere takes no seed, write sphere"));
+        assert!(said("bust:3").ends_with("lattice, stone; or sphere or bowl, without a seed"));
     }
 
     #[test]

@@ -8,7 +8,7 @@ use super::sculpture::{Sculpture, Upright, any_rotation};
 use super::{MAX_SIZE, RenderError};
 use crate::rng::Rng;
 use crate::stack::Mask;
-use glam::{Mat3, Vec2, Vec3};
+use glam::{DVec3, Mat3, Vec2, Vec3};
 
 /// Share of the frame that a fitted object fills along its longer side.
 pub const FILL: f32 = 0.94;
@@ -34,7 +34,7 @@ pub struct Pose {
 }
 
 /// A pose as written in a file: `rotation` as three rows; without `scale` and `translation` the object is fitted
-/// to the frame.
+/// to the frame. `frame = scale · rotation · (object − origin) + translation`.
 #[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PoseFile {
@@ -46,6 +46,10 @@ pub struct PoseFile {
     /// Where the object's origin stands in the frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub translation: Option<[f32; 3]>,
+    /// The point that counts as the object's origin, in the mesh file's coordinates; without it their own. Written for a
+    /// mesh far from that, see [`Mesh::origin`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub origin: Option<[f64; 3]>,
 }
 
 impl Pose {
@@ -98,23 +102,29 @@ impl Pose {
     pub fn from_json(shape: &Shape, json: &str) -> Result<Self, RenderError> {
         let file: PoseFile = serde_json::from_str(json).map_err(|e| RenderError::PoseFile(e.to_string()))?;
         let rotation = Mat3::from_cols_array_2d(&file.rotation).transpose();
-        match (file.scale, file.translation) {
-            (Some(scale), t) => {
-                Self { rotation, scale, translation: t.map_or(Vec3::ZERO, Vec3::from) }.checked()
-            }
-            (None, t) => {
-                let fitted = Self::fit(shape, rotation)?;
-                Self { translation: t.map_or(fitted.translation, Vec3::from), ..fitted }.checked()
-            }
-        }
+        let posed = match (file.scale, file.translation) {
+            (Some(scale), t) => Self { rotation, scale, translation: t.map_or(Vec3::ZERO, Vec3::from) },
+            (None, None) => return Self::fit(shape, rotation),
+            (None, Some(t)) => Self { translation: t.into(), ..Self::fit(shape, rotation)? },
+        };
+        // From the file's origin to the mesh's, which is the same in nearly every case.
+        let moved = (shape.origin() - file.origin.map_or(DVec3::ZERO, DVec3::from)).as_vec3();
+        let translation = match moved {
+            Vec3::ZERO => posed.translation,
+            moved => posed.to_frame(moved),
+        };
+        Self { translation, ..posed }.checked()
     }
 
-    /// The JSON text of this pose.
+    /// The JSON text of this pose of `shape`.
     #[must_use]
-    pub fn to_json(&self) -> String {
-        let rotation = self.rotation.transpose().to_cols_array_2d();
-        let file =
-            PoseFile { rotation, scale: Some(self.scale), translation: Some(self.translation.to_array()) };
+    pub fn to_json(&self, shape: &Shape) -> String {
+        let file = PoseFile {
+            rotation: self.rotation.transpose().to_cols_array_2d(),
+            scale: Some(self.scale),
+            translation: Some(self.translation.to_array()),
+            origin: Some(shape.origin().to_array()).filter(|o| *o != [0.0; 3]),
+        };
         serde_json::to_string_pretty(&file).unwrap_or_default()
     }
 
@@ -158,6 +168,14 @@ impl Libm for Mat3 {
 }
 
 impl Shape {
+    /// Where its origin lies in the coordinates of its file.
+    fn origin(&self) -> DVec3 {
+        match self {
+            Self::Mesh(mesh) => mesh.origin,
+            Self::Sculpture(_) => DVec3::ZERO,
+        }
+    }
+
     /// The rotation in which a shape shows itself best: vessels are tilted towards the viewer.
     #[must_use]
     pub fn front(&self) -> Mat3 {
@@ -379,6 +397,30 @@ mod tests {
             Err(RenderError::Pose)
         ));
         assert!(Pose::from_json(&shape, "{}").is_err());
-        assert_eq!(Pose::from_json(&shape, &pose.to_json()).unwrap(), pose);
+        assert_eq!(Pose::from_json(&shape, &pose.to_json(&shape)).unwrap(), pose);
+        assert!(!pose.to_json(&shape).contains("origin"));
+    }
+
+    #[test]
+    fn a_mesh_far_from_its_origin_has_a_pose_too() {
+        let roof = |at: f64| {
+            let corner = |x: f64, y: f64, z: f64| format!("v {} {} {z}\n", x + at, y + 2.0 * at);
+            let corners =
+                [corner(-1., -1., 0.), corner(1., -1., 0.), corner(1., 1., 1.), corner(-1., 1., 1.)];
+            let text = corners.concat() + "v 9e9 0 nan\nf 1 2 3 4\n";
+            Shape::Mesh(Mesh::from_bytes("roof.obj", text.as_bytes()).unwrap())
+        };
+        let (near, far) = (roof(0.0), roof(5e6));
+        let pose = |shape: &Shape| Pose::fit(shape, tilt(0.3, 0.2, 0.1)).unwrap();
+        let view = |shape: &Shape, pose: &Pose| View::new(shape, pose, 24).unwrap();
+        assert_eq!(view(&near, &pose(&near)).mask, view(&far, &pose(&far)).mask);
+        let json = pose(&far).to_json(&far);
+        assert!(json.contains("origin"), "{json}");
+        assert_eq!(Pose::from_json(&far, &json).unwrap(), pose(&far));
+        // The same pose about another origin.
+        let moved = json.replace("5000000.0,", "5000001.0,");
+        let [a, b] = [&json, &moved].map(|json| Pose::from_json(&far, json).unwrap());
+        assert_ne!(json, moved);
+        assert!((a.translation - b.to_frame(Vec3::X)).length() < 1e-5, "{a:?} {b:?}");
     }
 }
