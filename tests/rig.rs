@@ -163,6 +163,68 @@ fn the_light_is_out_however_it_ends() {
     assert!(log.rfind("reset (Stop)") > log.rfind("> M3S800"), "{log}");
 }
 
+/// `coil capture … 2>&1 | head -1`: the session goes on to its end, and the light goes out.
+#[cfg(unix)]
+#[test]
+fn a_reader_that_leaves_leaves_no_light_on() {
+    let out = folder("unread").join("session");
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let args = ["capture", "--size", "32", "-t", "5", "--planner", "random", "--trace", "--out", text(&out)];
+    let mut command = command(&args);
+    let done = command.stdout(writer.try_clone().unwrap()).stderr(writer).status().unwrap();
+    assert!(done.success(), "{done}");
+    assert_eq!(record(&out).shots.len(), 5);
+}
+
+#[test]
+fn what_a_planner_cannot_plan_is_refused_before_anything_moves() {
+    let out = folder("unplanned").join("session");
+    let refused = |more: &[&str]| {
+        let log = bad(2, &[&["capture", "--size", "32", "--trace", "--out", text(&out)][..], more].concat());
+        assert!(!log.contains("> "), "{log}");
+        log
+    };
+    assert!(refused(&["--planner", "lipids", "-t", "7"]).contains("3, 5 and 10"));
+    assert!(refused(&["--solver", "magic"]).contains("magic"));
+    if cfg!(feature = "policy") {
+        let log = refused(&["--planner", "coil", "-t", "40"]);
+        assert!(log.contains("coil is not defined for 40 lights: it plans at most 32"), "{log}");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupt_stops_the_arm_and_keeps_the_session() {
+    let out = folder("interrupted").join("session");
+    let base = ["capture", "--size", "32", "-t", "5", "--planner", "random", "--out", text(&out)];
+    let mut child = command(&base)
+        .args(["--pace", "real", "--trace"])
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut log = String::new();
+    let mut moves = 0;
+    for line in BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok) {
+        log += &format!("{line}\n");
+        // At the second move the first light is on disk.
+        if line.contains("G1X") {
+            moves += 1;
+            if moves == 2 {
+                let id = child.id().to_string();
+                assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+            }
+        }
+    }
+    assert_eq!(child.wait().unwrap().code(), Some(3), "{log}");
+    assert!(log.rfind("! reset (Stop)") > log.rfind("> M3S800"), "{log}");
+    assert!(log.contains("error: stopped") && log.contains("--resume goes on"), "{log}");
+    let taken = record(&out).shots.len();
+    assert!((1..5).contains(&taken), "{taken}: {log}");
+    assert!(good(&[&base[..], &["--resume"]].concat()).contains("5 lights"));
+}
+
 /// A camera that saves to a folder: it looks at a sphere under the light that the arm's last move names, and takes a
 /// bracket whenever the shutter line goes high. It knows the arm only from the lines that pass.
 #[test]

@@ -1,10 +1,11 @@
 //! `coil capture`: a whole session with a rig, headless.
 
 use crate::arm::{ArmArgs, Driver, PortArgs};
+use crate::models::Models;
 use crate::output;
 use anyhow::{Context, bail};
 use coil_ps::arm::Joints;
-use coil_ps::arm::grbl::{Command, Phase, Trust};
+use coil_ps::arm::grbl::{Command, Failure, Phase, Trust};
 use coil_ps::arm::kinematics::{Arm, Mount, Severity, check_settings};
 use coil_ps::arm::line::State;
 use coil_ps::camera::{Camera, Domain};
@@ -252,6 +253,9 @@ fn next_file(
         let until = Instant::now() + Duration::from_millis(60);
         while Instant::now() < until {
             driver.pump()?;
+            if let Phase::Stopped(_) = driver.link().phase() {
+                return Err(Failure::Stopped.into());
+            }
             std::thread::sleep(Duration::from_millis(2));
         }
     }
@@ -324,6 +328,7 @@ fn check(args: &Args) -> anyhow::Result<()> {
     if !(3..=1000).contains(&args.lights) {
         bail!("-t {}: 3 to 1000 lights", args.lights);
     }
+    solve::check_name(&args.solver)?;
     if !(0.0..=30.0).contains(&args.settle) {
         bail!("--settle {}: 0 to 30 s", args.settle);
     }
@@ -367,10 +372,18 @@ fn bracket(args: &Args, driver: &mut Driver, source: &mut Source) -> anyhow::Res
     Ok(frames)
 }
 
+fn setup<'a>(args: &Args, models: &'a Models) -> planner::Setup<'a> {
+    let (lights, seed) = (args.lights, args.seed);
+    planner::Setup { lights, seed, draw: 0, camera: None, truth: None, learned: Some(models) }
+}
+
 fn capture(args: &Args, source: Source, mask: Option<Mask>) -> anyhow::Result<ExitCode> {
     let arm = args.arm.read()?;
+    let models = args.models.load(std::slice::from_ref(&args.planner))?;
+    // What it can't plan is refused before anything moves.
+    planner::build(&args.planner, &setup(args, &models))?;
     let mut driver = Driver::connect(&args.port)?;
-    let ended = session(args, &mut driver, arm, source, mask);
+    let ended = session(args, &models, &mut driver, arm, source, mask);
     if matches!(ended, Ok(None)) {
         return Ok(ExitCode::SUCCESS);
     }
@@ -382,6 +395,7 @@ fn capture(args: &Args, source: Source, mask: Option<Mask>) -> anyhow::Result<Ex
 /// The session proper: `None` where it is done.
 fn session(
     args: &Args,
+    models: &Models,
     driver: &mut Driver,
     mut arm: Arm,
     mut source: Source,
@@ -436,15 +450,7 @@ fn session(
         Source::Simulated { truth, .. } => *truth,
         Source::Folder { .. } => None,
     };
-    let models = args.models.load(std::slice::from_ref(&args.planner))?;
-    let setup = planner::Setup {
-        lights: args.lights,
-        seed: args.seed,
-        draw: 0,
-        camera: None,
-        truth: None,
-        learned: Some(&models),
-    };
+    let setup = setup(args, models);
     let mut planner = planner::build(&args.planner, &setup)?;
     if let Some(degrees) = args.nearby {
         planner = Box::new(Thrifty::new(planner, info.online, arm.clone(), degrees.to_radians()));
@@ -585,7 +591,7 @@ fn drive(
                     capture.exposed(exposure)?;
                 }
                 // That is said, and mended, as such.
-                Err(_) if matches!(driver.link().phase(), Phase::Closed(_)) => {}
+                Err(_) if matches!(driver.link().phase(), Phase::Closed(_) | Phase::Stopped(_)) => {}
                 Err(error) => return Ok(Some(Stuck::Failed(format!("{error:#}")))),
             },
             Action::Develop => {

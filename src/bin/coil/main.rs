@@ -1,5 +1,17 @@
 //! `coil`: the command line of coil-ps. One file a subcommand.
 
+// As the standard library's, which panic where the reader has gone (`| head`): no reason to stop in the middle of a file or
+// to leave an arm moving.
+macro_rules! print {
+    ($($text:tt)*) => { crate::output::say(format_args!($($text)*)) };
+}
+macro_rules! println {
+    ($($text:tt)*) => { crate::output::say(format_args!("{}\n", format_args!($($text)*))) };
+}
+macro_rules! eprintln {
+    ($($text:tt)*) => { crate::output::tell(format_args!("{}\n", format_args!($($text)*))) };
+}
+
 mod arm;
 mod calibrate;
 mod capture;
@@ -81,7 +93,8 @@ fn main() -> ExitCode {
         Command::Model(args) => model::run(args),
         Command::Train(args) => train::run(args),
     };
-    result.unwrap_or_else(|error| {
+    let status = result.and_then(|status| output::all_said().map(|()| status));
+    status.unwrap_or_else(|error| {
         eprintln!("error: {error:#}");
         ExitCode::from(2)
     })

@@ -1,6 +1,7 @@
 //! What subcommands print and write: tables, JSON, pictures, progress.
 
 use anyhow::{Context, bail};
+use clap::builder::RangedU64ValueParser;
 use coil_ps::error;
 use coil_ps::eval::plot::{self, LightPlot};
 use coil_ps::eval::table::ALL_LIGHTS;
@@ -13,8 +14,66 @@ use glam::Vec3;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use serde_json::json;
-use std::io::Write as _;
+use std::fmt::Arguments;
+use std::fs::{self, OpenOptions};
+use std::io::{ErrorKind, Write as _};
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Whether standard output took less than all.
+static LOST: AtomicBool = AtomicBool::new(false);
+
+/// Prints; where nobody reads any more, nothing happens.
+pub fn say(text: Arguments) {
+    let said = std::io::stdout().write_fmt(text);
+    if said.is_err_and(|e| e.kind() != ErrorKind::BrokenPipe) {
+        LOST.store(true, Ordering::Relaxed);
+    }
+}
+
+/// The same on standard error. There is no other place to say that it can't be written.
+pub fn tell(text: Arguments) {
+    let _ = std::io::stderr().write_fmt(text);
+}
+
+/// Looks whether everything that was to be printed has been.
+///
+/// # Errors
+/// Where it could not be, for another reason than that nobody reads it.
+pub fn all_said() -> anyhow::Result<()> {
+    let flushed = std::io::stdout().flush().is_err_and(|e| e.kind() != ErrorKind::BrokenPipe);
+    if flushed || LOST.load(Ordering::Relaxed) {
+        bail!("standard output could not be written: is the disk full?");
+    }
+    Ok(())
+}
+
+/// Makes sure that a file can be written later, as [`write`] will; `-` is standard output.
+pub fn check_file(path: &Path) -> anyhow::Result<()> {
+    if path.as_os_str() == "-" {
+        return Ok(());
+    }
+    let there = path.exists();
+    // A pipe's reader would take a look for the end.
+    if there && !path.is_file() && !path.is_dir() {
+        return Ok(());
+    }
+    if let Some(folder) = path.parent().filter(|f| !f.as_os_str().is_empty()) {
+        fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    }
+    let tried = OpenOptions::new().append(true).create(true).open(path);
+    tried.with_context(|| format!("{}: can't be written", path.display()))?;
+    if !there {
+        let _ = fs::remove_file(path);
+    }
+    Ok(())
+}
+
+/// Makes sure that files can be written into a folder later; it is made where it is missing.
+pub fn check_folder(dir: &Path) -> anyhow::Result<()> {
+    fs::create_dir_all(dir).with_context(|| dir.display().to_string())?;
+    check_file(&dir.join(".coil-write-test"))
+}
 
 /// A bar on standard error, shown only where that is a terminal.
 pub fn progress(length: usize, what: &str) -> ProgressBar {
@@ -43,6 +102,11 @@ pub fn counts(text: &str) -> anyhow::Result<Vec<usize>> {
         }
     }
     Ok(list)
+}
+
+/// Reads a number of things of which there must be one.
+pub fn at_least_one() -> RangedU64ValueParser<usize> {
+    RangedU64ValueParser::new().range(1..)
 }
 
 /// Columns padded to the same width, the first to the left, the others to the right.
@@ -76,9 +140,9 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> anyhow::Result<()> {
 /// Writes a file, making its folder where it is missing.
 pub fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     if let Some(folder) = path.parent().filter(|f| !f.as_os_str().is_empty()) {
-        std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+        fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     }
-    std::fs::write(path, bytes).with_context(|| path.display().to_string())
+    fs::write(path, bytes).with_context(|| path.display().to_string())
 }
 
 /// Writes a file so that at every moment the old or the new one is there, whole: another file first, then its name.

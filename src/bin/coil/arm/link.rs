@@ -5,6 +5,9 @@ use coil_ps::arm::Transport;
 use coil_ps::arm::fault::{Fault, Faulty};
 use coil_ps::arm::grbl::{Command, Event, Failure, Link, Phase};
 use coil_ps::arm::simulated::{Simulated, Truth};
+use std::process::exit;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// Which arm.
@@ -58,7 +61,10 @@ impl Port {
     }
 }
 
-/// A link, its port and its clock.
+/// Status of a program that was interrupted, as shells have it.
+const INTERRUPTED: i32 = 130;
+
+/// A link, its port and its clock. Ctrl-C and SIGTERM are Stop; the second time they end the program at once.
 pub struct Driver {
     link: Link,
     port: Port,
@@ -66,6 +72,8 @@ pub struct Driver {
     now: Duration,
     real_time: bool,
     events: Vec<Event>,
+    /// Somebody wants the program to end.
+    interrupted: Arc<AtomicBool>,
     /// Print every line that passes.
     pub show_log: bool,
 }
@@ -78,6 +86,14 @@ impl Driver {
     /// # Errors
     /// Why it can't be opened, or is no Grbl.
     pub fn connect(args: &PortArgs) -> anyhow::Result<Self> {
+        let interrupted = Arc::new(AtomicBool::new(false));
+        let flag = interrupted.clone();
+        ctrlc::set_handler(move || {
+            if flag.swap(true, Ordering::Relaxed) {
+                exit(INTERRUPTED);
+            }
+        })
+        .context("Ctrl-C could not be made a Stop")?;
         let (port, real_time) = if args.arm == "sim" {
             let (fault, at) = args.fault.unwrap_or((Fault::Split, f64::from(u32::MAX)));
             let port = Faulty::new(Simulated::arm(), fault, Duration::from_secs_f64(at), 1);
@@ -95,6 +111,7 @@ impl Driver {
             now: Duration::ZERO,
             real_time,
             events: Vec::new(),
+            interrupted,
             show_log: args.trace,
         };
         driver.open()?;
@@ -120,6 +137,7 @@ impl Driver {
             match self.link.phase() {
                 Phase::Ready => return Ok(()),
                 Phase::Closed(why) => bail!("{}", why.clone().unwrap_or_default()),
+                Phase::Stopped(_) => return Err(Failure::Stopped.into()),
                 _ if self.now() > end => bail!("the board does not tell its settings"),
                 _ => self.sleep(None),
             }
@@ -174,6 +192,9 @@ impl Driver {
             self.now += Duration::from_micros(10);
         }
         let now = self.now();
+        if self.interrupted.load(Ordering::Relaxed) && !matches!(self.link.phase(), Phase::Stopped(_)) {
+            self.link.stop(now);
+        }
         if !matches!(self.link.phase(), Phase::Closed(_)) {
             let out = self.link.take_output();
             let port = self.port.transport();
@@ -257,16 +278,18 @@ impl Driver {
     /// A closed port takes nothing; an alarm, a stop or a restart has put it out already.
     pub fn light_off(&mut self) {
         let end = self.now() + Duration::from_secs(3);
-        if let Err(Failure::NoAnswer(_)) = self.execute_until(Command::Light(0.0), end) {
+        match self.execute_until(Command::Light(0.0), end) {
             // A held firmware answers no line. Its reset puts the LED out too.
-            self.stop();
-            let end = self.now() + Duration::from_secs(1);
-            while self.now() <= end && *self.link.phase() == Phase::Stopped(false) {
-                if self.pump().is_err() {
-                    return;
-                }
-                self.sleep(None);
+            Err(Failure::NoAnswer(_)) => self.stop(),
+            Err(Failure::Stopped) => {}
+            _ => return,
+        }
+        let end = self.now() + Duration::from_secs(1);
+        while self.now() <= end && *self.link.phase() == Phase::Stopped(false) {
+            if self.pump().is_err() {
+                return;
             }
+            self.sleep(None);
         }
     }
 
@@ -307,8 +330,8 @@ impl Driver {
         loop {
             match self.open() {
                 Ok(()) => return self.wait_ready(),
-                Err(error) if self.now() >= end => {
-                    return Err(error).context("the port did not come back in 8 s");
+                Err(error) if self.now() >= end || self.interrupted.load(Ordering::Relaxed) => {
+                    return Err(error).context("the port did not come back");
                 }
                 Err(_) => {
                     if self.real_time {
