@@ -57,6 +57,12 @@ pub fn ring(count: usize, slant: f32, start: f32) -> Vec<Vec3> {
     (0..count).map(|k| from_azimuth_slant(start + TAU * k as f32 / count as f32, slant)).collect()
 }
 
+/// `direction`, or where its slant is above `reach` (radians), the nearest direction at that slant.
+#[must_use]
+pub fn within(direction: Vec3, reach: f32) -> Vec3 {
+    if slant(direction) <= reach { direction } else { from_azimuth_slant(azimuth(direction), reach) }
+}
+
 /// `v` turned about the optical axis by `angle` radians.
 #[must_use]
 pub fn rotate_about_axis(v: Vec3, angle: f32) -> Vec3 {

@@ -120,6 +120,25 @@ impl Settings {
         for lookup in &self.lookups {
             lookup.parse::<Lookup>()?;
         }
+        // Twice the same would be counted twice.
+        let lookups: Vec<String> =
+            self.lookups.iter().filter_map(|l| Some(l.parse::<Lookup>().ok()?.to_string())).collect();
+        let lights: Vec<String> = self.lights.iter().map(ToString::to_string).collect();
+        let lists = [
+            ("planner", &self.planners),
+            ("solver", &self.solvers),
+            ("lookup", &lookups),
+            ("lights", &lights),
+        ];
+        for (what, list) in lists {
+            if let Some(name) = list.iter().enumerate().find_map(|(i, n)| list[..i].contains(n).then_some(n))
+            {
+                return Err(SettingsError::Value {
+                    what,
+                    why: format!("{name} is there twice: once is enough"),
+                });
+            }
+        }
         if let Some(degrees) = self.stop_at.filter(|d| !(*d > 0.0 && *d < 90.0)) {
             let why = format!("{degrees} degrees is not above 0 and below 90");
             return Err(SettingsError::Value { what: "stop_at", why });
@@ -336,9 +355,14 @@ fn plan(
     let setup = Setup { lights, seed, draw, camera: Some(camera), truth, learned };
     let planner = planner::build(&spec.planner, &setup)?;
     let mut session = Session::new(camera.mask().clone(), subject.domain(info.choice), planner, spec.lights);
-    while let Step::Capture(direction) = session.step()? {
-        let picture = camera.capture(direction, session.seen())?;
-        session.observe(picture)?;
+    while let Step::Capture(requested) = session.step()? {
+        // A stack has its nearest photo for any direction, but a lamp goes no farther than its reach.
+        let there = match (subject, info.choice) {
+            (Subject::Scene { reach, .. }, Choice::Fixed) => light::within(requested, *reach),
+            _ => requested,
+        };
+        let picture = camera.capture(there, session.seen())?;
+        session.observe(Observation { requested, ..picture })?;
         if !watch(session.seen()) {
             break;
         }
@@ -691,6 +715,31 @@ mod tests {
         assert!((report.means[1].mae.unwrap() - report.results[1].mae.unwrap()).abs() < 1e-9);
     }
 
+    #[cfg(feature = "render")]
+    #[test]
+    fn a_fixed_set_goes_as_far_as_the_light_of_a_scene_reaches() {
+        use crate::render::{Options, SceneCamera, worlds};
+        let options = Options { size: 16, bounces: 0, ..Options::default() };
+        let scene = worlds::objects("sphere+lambert:0.8").unwrap()[0].scene(&options).unwrap();
+        let camera = SceneCamera::new(&scene);
+        let reach = 20f32.to_radians();
+        let subject = Subject::Scene { name: "ball", camera: &camera, truth: Some(scene.truth()), reach };
+        let of = |planner: &str, lights| {
+            let (planner, lookup) = (planner.to_owned(), Lookup::Nearest);
+            let spec = RunSpec { planner, lights, lookup, draw: 1, seed: 1, stop_at: None };
+            run(&subject, &spec, &["ls".into()], None).unwrap()
+        };
+        for (planner, lights, degrees) in [("dc05", 10, 34.7), ("ring:30", 10, 10.0), ("dc05v", 5, 36.7)] {
+            let run = of(planner, lights);
+            assert!(run.seen.iter().all(|o| light::slant(o.light) < reach + 1e-4), "{planner}");
+            let azimuths = run.seen.iter().map(|o| light::azimuth(o.light) - light::azimuth(o.requested));
+            assert!(azimuths.filter(|d| d.abs() < 6.0).all(|d| d.abs() < 1e-4), "{planner}");
+            assert!((run.deviation() - degrees).abs() < 0.1, "{planner}: {}", run.deviation());
+        }
+        assert!(of("ring:15", 5).deviation() < 1e-3);
+        assert!(of("lipids", 10).deviation() > 1.0);
+    }
+
     #[test]
     fn bad_settings_are_named() {
         let with = |f: &dyn Fn(&mut Settings)| {
@@ -704,5 +753,9 @@ mod tests {
         assert!(with(&|s| s.lookups = vec!["soft:-1".into()]).contains("soft:TAU"));
         assert!(with(&|s| s.draws = 0).contains("draws"));
         assert!(with(&|s| s.planners.clear()).contains("empty"));
+        assert!(with(&|s| s.planners.push("random".into())).contains("planner: random is there twice"));
+        assert!(with(&|s| s.lights = vec![10, 5, 10]).contains("lights: 10 is there twice"));
+        assert!(with(&|s| s.solvers = vec!["ls".into(); 2]).contains("solver: ls"));
+        assert!(with(&|s| s.lookups.push("soft:0.050".into())).contains("lookup: soft:0.05"));
     }
 }

@@ -31,17 +31,9 @@ impl FixedSet {
                 }
                 Ok(chosen.into_iter().map(|i| all[i]).collect())
             }
-            Domain::Hemisphere { reach } => Ok(self
-                .directions
-                .iter()
-                .map(|&d| {
-                    if light::slant(d) <= *reach {
-                        d
-                    } else {
-                        light::from_azimuth_slant(light::azimuth(d), *reach)
-                    }
-                })
-                .collect()),
+            Domain::Hemisphere { reach } => {
+                Ok(self.directions.iter().map(|&d| light::within(d, *reach)).collect())
+            }
         }
     }
 }

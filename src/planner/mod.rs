@@ -108,7 +108,7 @@ pub trait Planner {
 pub enum Choice {
     /// One of the lights of the stack; on a rig or renderer any direction within reach.
     Candidates,
-    /// A set of directions fixed beforehand, whatever the reach: the camera gives the nearest light.
+    /// A set of directions fixed beforehand, whatever the reach: each picture is under the nearest light there is.
     Fixed,
     /// Any direction within reach.
     Continuous,
@@ -272,10 +272,28 @@ pub trait Learned: Sync {
     /// The planner of a name, beginning with a light at `start`; `None` where no model of that name is loaded.
     fn planner(&self, name: &str, start: Vec3) -> Option<Box<dyn Planner>>;
 
+    /// The largest number of lights that the planner of a name plans, where that is limited.
+    fn most_lights(&self, _name: &str) -> Option<usize> {
+        None
+    }
+
     /// Identity (hash) of the network behind the planner of a name where lights are within `reach` (radians), if there is one.
     fn network(&self, _name: &str, _reach: f32) -> Option<String> {
         None
     }
+}
+
+/// Refuses more lights than the trained planner `name` can plan.
+///
+/// # Errors
+/// [`PlanError::Lights`], or [`PlanError::Unknown`].
+pub fn check_lights(name: &str, lights: usize, learned: Option<&dyn Learned>) -> Result<(), PlanError> {
+    let most = learned.and_then(|l| l.most_lights(name)).unwrap_or(usize::MAX);
+    if lights > most {
+        let hint = format!("it plans at most {most}");
+        return Err(PlanError::Lights { planner: info(name)?.name, lights, hint });
+    }
+    Ok(())
 }
 
 /// The planner of a name in [`PLANNERS`].
@@ -307,6 +325,7 @@ pub fn build<'a>(name: &str, setup: &Setup<'a>) -> Result<Box<dyn Planner + 'a>,
                         default one)";
             let needs = || PlanError::Needs { planner: info.name, what: what.into() };
             let learned = setup.learned.ok_or_else(needs)?;
+            check_lights(name, lights, Some(learned))?;
             learned.planner(name, start(&mut rng)).ok_or_else(needs)?
         }
         _ => {
@@ -334,10 +353,7 @@ fn first(view: &View, start: Vec3) -> Result<Vec3, PlanError> {
         Domain::Candidates(all) => light::nearest(start, all, |_| true)
             .map(|i| all[i])
             .ok_or(PlanError::TooFewCandidates { candidates: 0, lights: view.lights }),
-        Domain::Hemisphere { reach } if light::slant(start) > *reach => {
-            Ok(light::from_azimuth_slant(light::azimuth(start), *reach))
-        }
-        Domain::Hemisphere { .. } => Ok(start),
+        Domain::Hemisphere { reach } => Ok(light::within(start, *reach)),
     }
 }
 
