@@ -4,8 +4,8 @@
 mod support;
 
 use coil_ps::dataset::{
-    DatasetError, Files, Header, Limits, Memory, Warning, Zip, archive, diligent102, find_objects, mat,
-    read_object, write_object,
+    DatasetError, Files, Header, Limits, Memory, Warning, Zip, archive, decode_pixels, diligent102,
+    find_objects, mat, read_object, write_object,
 };
 use coil_ps::image::{decode_png, encode_grey, encode_rgb};
 use coil_ps::stack::{BitDepth, RawStack};
@@ -195,6 +195,39 @@ fn what_can_be_done_without_is_a_warning() {
 }
 
 #[test]
+fn what_no_normal_can_be_told_from_is_a_warning() {
+    let plane = b"0 0 1\n0.6 0 0.8\n-0.6 0 0.8\n0.8 0 0.6\n".to_vec();
+    let flat = changed("light_directions.txt", Some(plane));
+    assert_eq!(read(&flat).unwrap().1, [Warning::FlatLights { lights: 4 }]);
+
+    let mut two = fixture();
+    two.names.truncate(2);
+    two.images.truncate(2);
+    two.lights.truncate(2);
+    two.intensities.truncate(2);
+    assert_eq!(read(&object_files(&two)).unwrap().1, [Warning::FewLights { lights: 2 }]);
+
+    let mut odd = fixture();
+    let truth = odd.truth.as_mut().unwrap();
+    let of = truth.len();
+    truth[1..].fill(Vec3::ZERO);
+    odd.images[1].fill([0; 3]);
+    odd.images[3].fill([0; 3]);
+    odd.images[2].fill([u16::MAX; 3]);
+    let files = object_files(&odd);
+    assert_eq!(read(&files).unwrap().1, [Warning::LittleTruth { pixels: of - 1, of }]);
+    let header = Header::read(&files, "spherePNG", &Limits::default()).unwrap();
+    let decode = |k| decode_pixels(&files.read(&header.path(k)).unwrap(), &header.mask, "").unwrap();
+    let images: Vec<_> = (0..4).map(|k| (k, decode(k))).collect();
+    let (black, white) = (header.images[1].clone(), header.images[2].clone());
+    let expected = [
+        Warning::BlackImages { images: 2, first: black },
+        Warning::SaturatedImages { images: 1, first: white },
+    ];
+    assert_eq!(header.image_warnings(&images), expected);
+}
+
+#[test]
 fn normals_in_a_text_file_are_read_also_upside_down() {
     let stack = sphere(9, 8, 4, BitDepth::Eight);
     // A lopsided mask, so that upside down is another thing.
@@ -221,6 +254,18 @@ fn normals_in_a_text_file_are_read_also_upside_down() {
         assert_eq!(read.truth.as_ref(), Some(&truth));
         assert_eq!(warnings.len(), usize::from(upside_down));
     }
+    // Beside the object there may be no numbers at all.
+    let nowhere = |text: String| text.replace("0 0 0\n", "NaN NaN NaN\n");
+    for (text, upside_down) in [(rows.concat(), false), (turned.concat(), true)] {
+        let mut files = object_files(&lopsided);
+        files.insert("spherePNG/normal.txt", nowhere(text).into_bytes()).unwrap();
+        let (read, warnings) = read(&files).unwrap();
+        assert_eq!((read.truth.as_ref(), warnings.len()), (Some(&truth), usize::from(upside_down)));
+    }
+    let mut files = object_files(&lopsided);
+    files.insert("spherePNG/normal.txt", "inf 0 1\n".repeat(72).into_bytes()).unwrap();
+    let error = read(&files).unwrap_err().to_string();
+    assert!(error.contains("normal (inf, 0, 1) is not finite"), "{error}");
     for (text, says) in [
         (format!("{}0 0 1\n", rows.concat()), "an array of more than 72 lines where the mask needs 72 (9×8)"),
         (rows[1..].concat(), "an array of 63 lines where the mask needs 72 (9×8)"),
@@ -437,7 +482,10 @@ mod command_line {
         );
         assert_eq!((&objects[1]["object"], &objects[1]["bits"]), (&"z".into(), &16.into()));
         assert_eq!(objects[1]["errors"].as_array().unwrap().len(), 0);
-        assert!(objects[2]["errors"][0].as_str().unwrap().contains("nowhere: no such folder"));
+        assert!(objects[2]["errors"][0].as_str().unwrap().contains("nowhere: no such file or folder"));
+        let image = coil(&scratch.0, &["info", "spherePNG/002.png"]);
+        let said = String::from_utf8(image.stdout).unwrap();
+        assert!(said.contains("spherePNG/002.png: neither a folder nor a zip archive"), "{said}");
 
         let text = String::from_utf8(coil(&scratch.0, &["info", "."]).stdout).unwrap();
         assert!(text.contains("ERROR: ") && text.contains("images    4 of 9×7 pixels, 16 bit"), "{text}");

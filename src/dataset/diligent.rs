@@ -10,6 +10,8 @@
 use super::text::{self, Row};
 use super::{DatasetError, Files, Limits, Warning, check_name, mat};
 use crate::image::{ImageError, PngReader, decode_png, encode_grey, encode_rgb};
+use crate::solve::SolveError;
+use crate::solve::least_squares::pseudo_inverse;
 use crate::stack::{BitDepth, Mask, RawStack};
 use glam::{DVec3, Vec3};
 use std::collections::HashMap;
@@ -50,6 +52,13 @@ pub struct Pixels {
     pub bits: BitDepth,
     /// RGB code values of the mask pixels.
     pub rgb: Vec<[u16; 3]>,
+}
+
+impl Pixels {
+    /// Whether every value is `value`.
+    fn is_all(&self, value: u16) -> bool {
+        self.rgb.iter().flatten().all(|&v| v == value)
+    }
 }
 
 /// Folders of all objects among `files`, sorted; hidden folders and `__MACOSX` are passed over.
@@ -140,6 +149,20 @@ impl Header {
     #[must_use]
     pub fn path(&self, k: usize) -> String {
         join(&self.dir, &self.images[k])
+    }
+
+    /// What a user should know of the images, as numbers and pixels, which need not be all.
+    #[must_use]
+    pub fn image_warnings(&self, images: &[(usize, Pixels)]) -> Vec<Warning> {
+        let of = |says: &dyn Fn(&Pixels) -> bool| {
+            let mut found = images.iter().filter(|(_, pixels)| says(pixels)).map(|(k, _)| *k);
+            let first = self.images[found.next()?].clone();
+            Some((1 + found.count(), first))
+        };
+        let black = of(&|p| p.is_all(0)).map(|(images, first)| Warning::BlackImages { images, first });
+        let white = of(&|p| p.is_all(p.bits.max()));
+        let white = white.map(|(images, first)| Warning::SaturatedImages { images, first });
+        black.into_iter().chain(white).collect()
     }
 
     /// The object with its images, in the order of [`images`](Self::images).
@@ -369,6 +392,11 @@ impl Folder<'_> {
         if lengths.off > 0 {
             warnings.push(Warning::LightsNormalised { lights: lengths.off, worst: lengths.worst });
         }
+        match pseudo_inverse(&lights) {
+            Err(SolveError::TooFew(lights)) => warnings.push(Warning::FewLights { lights }),
+            Err(_) => warnings.push(Warning::FlatLights { lights: lights.len() }),
+            Ok(_) => {}
+        }
         Ok(lights)
     }
 
@@ -444,7 +472,9 @@ impl Folder<'_> {
                 truth.push(text::normalised(n));
             }
         }
-        if zero > 0 {
+        if 2 * zero > mask.len() {
+            warnings.push(Warning::LittleTruth { pixels: zero, of: mask.len() });
+        } else if zero > 0 {
             warnings.push(Warning::ZeroTruth { pixels: zero });
         }
         if lengths.off > 0 {
@@ -484,7 +514,8 @@ impl Folder<'_> {
             DatasetError::TruthSize { file, found, expected }
         };
         let mut normals = Vec::with_capacity(width * height);
-        self.rows(TRUTH_TXT, "", |line, row| {
+        // Like a MAT file's, they may be NaN where no object is.
+        text::any_rows(&file, &self.read(TRUTH_TXT, "")?, |line, row| {
             // However many there are: they need not be kept to know that.
             if normals.len() == width * height {
                 return Err(size(format!("more than {} lines", normals.len())));
@@ -503,8 +534,8 @@ impl Folder<'_> {
                 normals[(height - 1 - y as usize) * width + x as usize]
             })
             .collect();
-        let zeros = |n: &[DVec3]| n.iter().filter(|n| **n == DVec3::ZERO).count();
-        if zeros(&turned) < zeros(&upright) {
+        let missing = |n: &[DVec3]| n.iter().filter(|n| **n == DVec3::ZERO || !n.is_finite()).count();
+        if missing(&turned) < missing(&upright) {
             warnings.push(Warning::TruthUpsideDown { file });
             return Ok(turned);
         }

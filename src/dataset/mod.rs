@@ -289,6 +289,37 @@ pub enum Warning {
         /// How many.
         pixels: usize,
     },
+    /// More than half of the mask pixels have a zero true normal.
+    LittleTruth {
+        /// How many.
+        pixels: usize,
+        /// Of how many.
+        of: usize,
+    },
+    /// Less than three lights.
+    FewLights {
+        /// How many.
+        lights: usize,
+    },
+    /// Lights (nearly) in one plane through the object.
+    FlatLights {
+        /// How many.
+        lights: usize,
+    },
+    /// Images that are 0 on the whole object.
+    BlackImages {
+        /// How many.
+        images: usize,
+        /// The first of them.
+        first: String,
+    },
+    /// Images that have the largest code value on the whole object.
+    SaturatedImages {
+        /// How many.
+        images: usize,
+        /// The first of them.
+        first: String,
+    },
     /// True normals that were not of unit length (by more than 1 %) and have been normalised.
     TruthNormalised {
         /// How many.
@@ -330,6 +361,23 @@ impl std::fmt::Display for Warning {
             }
             Self::ZeroTruth { pixels } => {
                 write!(f, "{pixels} mask pixels have a zero true normal: they count as 90°")
+            }
+            Self::LittleTruth { pixels, of } => write!(
+                f,
+                "{pixels} of {of} mask pixels have no true normal (they count as 90°): is it the truth of this mask?"
+            ),
+            Self::FewLights { lights } => {
+                write!(f, "{lights} light(s): a normal needs at least 3 that do not lie in one plane")
+            }
+            Self::FlatLights { lights } => write!(
+                f,
+                "the {lights} lights lie (nearly) in one plane through the object: normals can't be told from them"
+            ),
+            Self::BlackImages { images, first } => {
+                write!(f, "{images} image(s) are black on the whole object, {first} the first")
+            }
+            Self::SaturatedImages { images, first } => {
+                write!(f, "{images} image(s) are saturated on the whole object, {first} the first")
             }
             Self::TruthNormalised { pixels, worst } => {
                 write!(f, "{pixels} true normals were not of unit length (one has {worst:.3}): normalised")

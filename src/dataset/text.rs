@@ -6,13 +6,26 @@ use glam::{DVec3, Vec3};
 
 /// The numbers of one line.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Row {
+pub(super) struct Row<'a> {
     values: [f64; 4],
     /// How many numbers the line has.
     pub count: usize,
+    /// The first that is NaN or infinite, as written.
+    not_finite: Option<&'a str>,
 }
 
-impl Row {
+impl Row<'_> {
+    /// The row itself, if all its numbers are finite.
+    fn finite(self, file: &str, line: usize) -> Result<Self, DatasetError> {
+        match self.not_finite {
+            None => Ok(self),
+            Some(text) => {
+                let (line, text) = (line.to_string(), shown(text));
+                Err(DatasetError::NotFinite { file: file.into(), line, text })
+            }
+        }
+    }
+
     /// The numbers, at most four.
     pub fn values(&self) -> Option<&[f64]> {
         self.values.get(..self.count)
@@ -33,28 +46,43 @@ pub(super) fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
     (1..).zip(lines).filter(|(_, line)| !line.is_empty())
 }
 
+fn shown(field: &str) -> String {
+    field.chars().take(40).collect()
+}
+
 /// Hands each line of numbers to `each`, with its number.
 pub(super) fn rows(
     file: &str,
     bytes: &[u8],
     mut each: impl FnMut(usize, Row) -> Result<(), DatasetError>,
 ) -> Result<(), DatasetError> {
+    any_rows(file, bytes, |line, row| each(line, row.finite(file, line)?))
+}
+
+/// [`rows`], whose numbers may be NaN or infinite.
+pub(super) fn any_rows(
+    file: &str,
+    bytes: &[u8],
+    mut each: impl FnMut(usize, Row) -> Result<(), DatasetError>,
+) -> Result<(), DatasetError> {
     for (line, text) in lines(&String::from_utf8_lossy(bytes)) {
-        each(line, row(file, line, text)?)?;
+        each(line, any_row(file, line, text)?)?;
     }
     Ok(())
 }
 
-/// The numbers of a line, separated by white space or commas.
-pub(super) fn row(file: &str, line: usize, text: &str) -> Result<Row, DatasetError> {
-    let mut row = Row { values: [0.0; 4], count: 0 };
+/// The finite numbers of a line, separated by white space or commas.
+pub(super) fn row<'a>(file: &str, line: usize, text: &'a str) -> Result<Row<'a>, DatasetError> {
+    any_row(file, line, text)?.finite(file, line)
+}
+
+fn any_row<'a>(file: &str, line: usize, text: &'a str) -> Result<Row<'a>, DatasetError> {
+    let mut row = Row { values: [0.0; 4], count: 0, not_finite: None };
     for field in text.split(|c: char| c.is_whitespace() || c == ',').filter(|f| !f.is_empty()) {
-        let shown = || field.chars().take(40).collect::<String>();
-        let value: f64 =
-            field.parse().map_err(|_| DatasetError::NotANumber { file: file.into(), line, text: shown() })?;
+        let wrong = |_| DatasetError::NotANumber { file: file.into(), line, text: shown(field) };
+        let value: f64 = field.parse().map_err(wrong)?;
         if !value.is_finite() {
-            let line = line.to_string();
-            return Err(DatasetError::NotFinite { file: file.into(), line, text: shown() });
+            row.not_finite = row.not_finite.or(Some(field));
         }
         if let Some(v) = row.values.get_mut(row.count) {
             *v = value;

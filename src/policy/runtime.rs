@@ -137,7 +137,8 @@ impl Sequence {
         }
         if self.position >= config.max_frames {
             return Err(ModelError::Run(format!(
-                "this network takes {} pictures at most",
+                "picture {}: this network plans at most {} lights",
+                self.position + 1,
                 config.max_frames
             )));
         }

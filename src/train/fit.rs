@@ -8,9 +8,13 @@ use super::rollout::{Conditions, Episode, Pass, differentiate};
 use super::weights::Weights;
 use crate::light::fibonacci_cap;
 use crate::policy::config::Config;
+use crate::render::MAX_SIZE;
 use crate::rng::Rng;
 use serde::{Deserialize, Serialize};
 use std::f32::consts::{FRAC_PI_2, PI};
+
+/// Smallest side of training pictures, pixels.
+const SMALLEST: u32 = 16;
 
 /// Everything that decides what a run does: the same recipe gives the same weights, bit for bit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -176,6 +180,10 @@ impl Recipe {
         self.config.check()?;
         if self.objects == 0 || self.steps == 0 || self.batch == 0 || self.micro_batch == 0 {
             return Err("objects, steps, batch and micro-batch must be at least 1".into());
+        }
+        if !(SMALLEST..=MAX_SIZE).contains(&self.resolution) {
+            // Smaller, a thin sculpture may cover no pixel.
+            return Err(format!("pictures of {0}×{0} pixels: {SMALLEST} to {MAX_SIZE}", self.resolution));
         }
         if !(4..=self.config.max_frames).contains(&self.lights) {
             return Err(format!("{} lights: 4 to {}", self.lights, self.config.max_frames));

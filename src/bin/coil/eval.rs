@@ -7,7 +7,7 @@ use anyhow::Context;
 use clap::Args;
 use coil_ps::eval::table::{self, ALL_LIGHTS};
 use coil_ps::eval::{Protocol, Report, Row, Run, RunSpec, Settings, Subject};
-use coil_ps::planner::Learned;
+use coil_ps::planner::{self, Learned};
 use coil_ps::session::SessionError;
 use coil_ps::solve::uncertainty::StopAt;
 use rayon::prelude::*;
@@ -20,10 +20,10 @@ use std::process::ExitCode;
 pub struct EvalArgs {
     #[command(flatten)]
     selection: Selection,
-    /// Planners, separated by commas; `all` takes every light of the stack.
+    /// Planners, separated by commas, none twice; `all` takes every light of the stack.
     #[arg(long, value_delimiter = ',', default_value = "all,random,dc05,dc05v,tk22,lipids,oracle")]
     planner: Vec<String>,
-    /// Solvers, separated by commas.
+    /// Solvers, separated by commas, none twice.
     #[arg(long, value_delimiter = ',', default_value = "ls")]
     solver: Vec<String>,
     /// Numbers of lights: 10, or 3,5,10, or 3..10 (both ends included).
@@ -68,6 +68,14 @@ pub fn run(args: EvalArgs) -> anyhow::Result<ExitCode> {
     };
     let runs = settings.runs()?;
     let models = args.models.load(&settings.planners)?;
+    for planner in &settings.planners {
+        let most = settings.lights.iter().copied().max().unwrap_or(0);
+        planner::check_lights(planner, most, Some(&models))?;
+    }
+    // Hours of runs are not for nothing.
+    args.json.as_deref().map(output::check_file).transpose()?;
+    args.out.as_deref().map(output::check_folder).transpose()?;
+    let mut unwritten = Ok(());
     let mut results = Vec::new();
     args.selection.for_each(settings.protocol, |name, object| {
         let object = match object {
@@ -79,33 +87,33 @@ pub fn run(args: EvalArgs) -> anyhow::Result<ExitCode> {
             }
         };
         let reach = args.selection.reach.to_radians();
-        let rows = object.with_subject(reach, |subject| {
-            evaluate(subject, &runs, &settings, &models, args.out.as_deref())
-        })?;
+        let (rows, written) = object
+            .with_subject(reach, |subject| evaluate(subject, &runs, &settings, &models, args.out.as_deref()));
         results.extend(rows);
+        if unwritten.is_ok() {
+            unwritten = written;
+        }
         Ok(())
     })?;
     let report = Report::new(settings, results);
-    match &args.json {
-        Some(path) => {
-            output::write_json(path, &report)?;
-            if path.as_os_str() != "-" {
-                print!("{}", text_table(&report));
-            }
-        }
-        None => print!("{}", text_table(&report)),
+    if args.json.as_deref() != Some(Path::new("-")) {
+        print!("{}", text_table(&report));
     }
+    if let Some(path) = &args.json {
+        output::write_json(path, &report)?;
+    }
+    unwritten?;
     Ok(ExitCode::from(u8::from(report.has_errors())))
 }
 
-/// All runs on one object, in threads; its pictures where `out` names a folder.
+/// All runs on one object, in threads; its pictures where `out` names a folder, or why they can't be written.
 fn evaluate(
     subject: &Subject,
     runs: &[RunSpec],
     settings: &Settings,
     learned: &dyn Learned,
     out: Option<&Path>,
-) -> anyhow::Result<Vec<Row>> {
+) -> (Vec<Row>, anyhow::Result<()>) {
     let bar = output::progress(runs.len(), subject.name());
     let done: Vec<(RunSpec, Result<Run, SessionError>)> = runs
         .par_iter()
@@ -123,11 +131,11 @@ fn evaluate(
     for row in rows.iter().filter(|r| r.error.is_some()) {
         eprintln!("{}: {}: {}", row.object, row.planner, row.error.as_deref().unwrap_or_default());
     }
-    if let Some(dir) = out {
-        let first: Vec<_> = done.iter().filter(|(spec, _)| spec.draw == 0).collect();
-        output::write_runs(dir, subject, &first, settings).with_context(|| dir.display().to_string())?;
-    }
-    Ok(rows)
+    let first: Vec<_> = done.iter().filter(|(spec, _)| spec.draw == 0).collect();
+    let written = out.map_or(Ok(()), |dir| {
+        output::write_runs(dir, subject, &first, settings).with_context(|| dir.display().to_string())
+    });
+    (rows, written)
 }
 
 /// One block for each look-up, solver and number of lights: planners down, objects across.

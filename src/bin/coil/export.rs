@@ -1,8 +1,10 @@
 //! `coil export`: lights, normals and whole objects in other formats.
 
 use crate::files;
+use crate::objects::Names;
 use anyhow::{Context, bail};
 use clap::ValueEnum;
+use coil_ps::dataset::diligent::object_name;
 use coil_ps::dataset::{Files, Header, Limits, archive, csv, diligent102, lp, write_object};
 use coil_ps::eval::{Protocol, plot};
 use coil_ps::solve::{self, Measurements};
@@ -50,6 +52,7 @@ enum Format {
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let limits = Limits::default();
     let mut failed = false;
+    let mut names = Names::default();
     for path in &args.paths {
         let source = match files::open(path, &limits) {
             Ok(source) => source,
@@ -60,8 +63,9 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
             }
         };
         for dir in &source.objects {
-            match export(source.files.as_ref(), dir, &limits, &args) {
-                Ok(written) => println!("{dir}: {written}"),
+            let name = names.distinct(&object_name(dir));
+            match export(source.files.as_ref(), dir, name, &limits, &args) {
+                Ok(written) => println!("{}: {written}", source.place(dir)),
                 Err(e) => {
                     eprintln!("error: {e:#}");
                     failed = true;
@@ -72,16 +76,24 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     Ok(if failed { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }
 
-fn export(files: &dyn Files, dir: &str, limits: &Limits, args: &Args) -> anyhow::Result<String> {
+fn export(
+    files: &dyn Files,
+    dir: &str,
+    name: String,
+    limits: &Limits,
+    args: &Args,
+) -> anyhow::Result<String> {
     let written = match args.to {
-        Format::Lp | Format::Csv | Format::Normals => of_header(&Header::read(files, dir, limits)?, args.to)?,
+        Format::Lp | Format::Csv | Format::Normals => {
+            of_header(&Header { name, ..Header::read(files, dir, limits)? }, args.to)?
+        }
         Format::Diligent | Format::Zip => {
             let (stack, _) = files::read_object(files, dir, limits)?;
-            let folder = format!("{}PNG", stack.name);
+            let folder = format!("{name}PNG");
             let object: Vec<(String, Vec<u8>)> =
                 write_object(&stack)?.into_iter().map(|(name, b)| (format!("{folder}/{name}"), b)).collect();
             match args.to {
-                Format::Zip => vec![(format!("{}.zip", stack.name), archive::write_zip(&object)?)],
+                Format::Zip => vec![(format!("{name}.zip"), archive::write_zip(&object)?)],
                 _ => object,
             }
         }
@@ -91,7 +103,7 @@ fn export(files: &dyn Files, dir: &str, limits: &Limits, args: &Args) -> anyhow:
             let images = stack.grey.iter().map(Vec::as_slice).collect();
             let m = Measurements { lights: stack.lights.clone(), images, saturation: None };
             let normals = solve::by_name(&args.solver)?.solve(&m)?.normals;
-            vec![(format!("{}.mat", stack.name), diligent102::submission(&stack.mask, &normals))]
+            vec![(format!("{name}.mat"), diligent102::submission(&stack.mask, &normals))]
         }
     };
     for (name, bytes) in &written {

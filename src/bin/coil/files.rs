@@ -18,6 +18,21 @@ pub struct Source {
     pub files: Box<dyn Files>,
     /// Folders of the objects.
     pub objects: Vec<String>,
+    /// The path as it was given.
+    path: PathBuf,
+}
+
+impl Source {
+    /// Where the object in folder `dir` is, from the path as it was given: names of folders need not be unique.
+    #[must_use]
+    pub fn place(&self, dir: &str) -> String {
+        // A folder's files begin with its own name, an archive's do not.
+        let inside = match self.path.is_dir() {
+            true => dir.split_once('/').map_or("", |(_, rest)| rest),
+            false => dir,
+        };
+        if inside.is_empty() { self.path.clone() } else { self.path.join(inside) }.display().to_string()
+    }
 }
 
 /// Opens a folder (an object, or anything above objects) or a zip archive and finds its objects.
@@ -34,15 +49,19 @@ pub fn open(path: &Path, limits: &Limits) -> anyhow::Result<Source> {
             bail!("{}: {size} bytes are too many to read at once: unpack it", path.display());
         }
         let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
+        let end = path.extension().unwrap_or_default();
+        if !bytes.starts_with(b"PK") && !end.eq_ignore_ascii_case("zip") {
+            bail!("{}: neither a folder nor a zip archive: name the folder of the dataset", path.display());
+        }
         Box::new(Zip::new(bytes, &name, limits)?)
     } else {
-        bail!("{}: no such folder or zip archive", path.display());
+        bail!("{}: no such file or folder", path.display());
     };
     let objects = find_objects(files.as_ref());
     if objects.is_empty() {
         return Err(DatasetError::NoObject).with_context(|| path.display().to_string());
     }
-    Ok(Source { files, objects })
+    Ok(Source { files, objects, path: path.into() })
 }
 
 /// Reads the object in folder `dir`, its images in parallel.

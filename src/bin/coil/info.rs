@@ -71,7 +71,8 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         match files::open(path, &limits) {
             Ok(source) => {
                 for dir in &source.objects {
-                    let object = inspect(source.files.as_ref(), dir, &limits);
+                    let mut object = inspect(source.files.as_ref(), dir, &limits);
+                    object.path = source.place(dir);
                     if !args.json {
                         print(&object);
                     }
@@ -105,8 +106,6 @@ fn inspect(files: &dyn Files, dir: &str, limits: &Limits) -> Object {
             return object;
         }
     };
-    object.warnings =
-        header.warnings.iter().map(|w| Message { warning: w.clone(), message: w.to_string() }).collect();
     let slants = || header.lights.iter().map(|&l| light::slant(l).to_degrees());
     let mut facts = Facts {
         object: header.name.clone(),
@@ -124,12 +123,15 @@ fn inspect(files: &dyn Files, dir: &str, limits: &Limits) -> Object {
         saturated: None,
     };
     let mut pixels = Vec::new();
-    for image in files::decode_all(files, &header) {
+    for (k, image) in files::decode_all(files, &header).into_iter().enumerate() {
         match image {
-            Ok(image) => pixels.push(image),
+            Ok(image) => pixels.push((k, image)),
             Err(e) => object.errors.push(e.to_string()),
         }
     }
+    let warnings = header.warnings.iter().cloned().chain(header.image_warnings(&pixels));
+    object.warnings = warnings.map(|w| Message { message: w.to_string(), warning: w }).collect();
+    let pixels: Vec<_> = pixels.into_iter().map(|p| p.1).collect();
     facts.bits = pixels.first().map(|p| p.bits.bits());
     let (mut saturated, mut values) = (0usize, 0usize);
     for image in &pixels {

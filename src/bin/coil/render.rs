@@ -4,18 +4,20 @@ mod bench;
 mod lights;
 mod shards;
 
+use crate::objects::{Names, rendered};
 use crate::output;
 use anyhow::{Context, bail};
 use clap::ValueEnum;
 use coil_ps::dataset::write_object;
+use coil_ps::fingerprint::Fingerprint;
 use coil_ps::image::encode_rgb;
 use coil_ps::render::worlds::{self, Object, Split};
-use coil_ps::render::{Finish, Material, Mesh, Options, Pose, Scene, Sensor, Shape, Tracer, sensor};
+use coil_ps::render::{Finish, Material, Options, Pose, Scene, Sensor, Tracer, sensor};
 use coil_ps::rng::Rng;
 use coil_ps::stack::BitDepth;
 use glam::Vec3;
 use rayon::prelude::*;
-use shards::{Fnv, Manifest, Rendered};
+use shards::{Manifest, Rendered};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -124,11 +126,9 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         );
     }
     // Two objects of one name would overwrite each other.
-    for i in 0..jobs.len() {
-        let same = jobs[..i].iter().filter(|j| j.0.name == jobs[i].0.name).count();
-        if same > 0 {
-            jobs[i].0.name += &format!("-{}", same + 1);
-        }
+    let mut names = Names::default();
+    for (object, ..) in &mut jobs {
+        object.name = names.distinct(&object.name);
     }
     let total = jobs.len();
     let mine: Vec<_> = jobs
@@ -163,18 +163,18 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         let raw = sensor::assemble(&scene, &lights, white, images);
         let folder = out.join(&object.name);
         let mut files = write_object(&raw)?;
-        files.push(("pose.json".into(), scene.pose.to_json().into_bytes()));
-        let mut hash = Fnv::new();
+        files.push(("pose.json".into(), scene.pose.to_json(&object.shape).into_bytes()));
+        let mut print = Fingerprint::default();
         for (file, bytes) in &files {
-            hash.add(file.as_bytes());
-            hash.add(bytes);
+            print.add(file.bytes());
+            print.add(bytes.iter().copied());
         }
         files.par_iter().try_for_each(|(file, bytes)| output::write(&folder.join(file), bytes))?;
         rendered.push(Rendered {
             name: object.name.clone(),
             images: lights.len(),
             pixels: raw.mask.len(),
-            checksum: format!("{:016x}", hash.0),
+            checksum: print.to_string(),
         });
     }
     bar.finish_and_clear();
@@ -242,22 +242,13 @@ fn sheet(args: &Args, file: &Path) -> anyhow::Result<ExitCode> {
 
 /// The objects of a name, with the pose where it does not follow from the object's rotation.
 fn objects(name: &str, args: &Args) -> anyhow::Result<Vec<(Object, Option<Pose>)>> {
-    let mesh = [".obj", ".ply", ".stl"].iter().any(|end| name.to_ascii_lowercase().ends_with(end));
     if worlds::is_set(name) {
         if args.material.is_some() || args.pose != "front" {
             bail!("{name}: its materials and poses are part of it; leave --material and --pose out");
         }
         return Ok(worlds::objects(name)?.into_iter().map(|o| (o, None)).collect());
     }
-    let mut object = if mesh {
-        let data = std::fs::read(name).with_context(|| name.to_owned())?;
-        let shape = Shape::Mesh(Mesh::from_bytes(name, &data).with_context(|| name.to_owned())?);
-        let stem = Path::new(name).file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let material: Material = worlds::MATERIAL.parse()?;
-        Object { name: stem, rotation: shape.front(), shape, finish: material.into() }
-    } else {
-        worlds::objects(name)?.remove(0)
-    };
+    let mut object = rendered(name)?.remove(0);
     // Each object draws for itself, whatever else is rendered.
     let rng =
         &mut Rng::stream(args.seed, name.bytes().fold(0, |h: u64, b| h.wrapping_mul(31) + u64::from(b)));

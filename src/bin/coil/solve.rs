@@ -3,13 +3,14 @@
 use crate::models::{self, Models};
 use crate::objects::Selection;
 use crate::output;
-use anyhow::Context;
+use anyhow::bail;
 use coil_ps::error::{self, ErrorMap};
 use coil_ps::eval::plot;
 use coil_ps::eval::statistics::{mean, median};
 use coil_ps::eval::table::{self, ALL_LIGHTS};
 use coil_ps::eval::{Protocol, RunSpec, Subject};
 use coil_ps::pixels::tune::rank_correlation;
+use coil_ps::planner;
 use coil_ps::relight::Lookup;
 use coil_ps::solve::uncertainty::{self, StopAt};
 use coil_ps::solve::{self, Measurements, Solution};
@@ -33,9 +34,9 @@ pub struct Args {
     planner: String,
     #[command(flatten)]
     models: models::Folder,
-    /// Number of lights that the planner chooses.
-    #[arg(long, default_value_t = 10)]
-    lights: usize,
+    /// Number of lights that the planner chooses; 10 without it.
+    #[arg(long)]
+    lights: Option<usize>,
     /// Take no more lights once the predicted mean error is at most this: 8deg.
     #[arg(long, value_name = "DEGREES")]
     stop_at: Option<StopAt>,
@@ -52,16 +53,31 @@ pub struct Args {
     #[arg(long, value_delimiter = ',', value_name = "FORMATS", requires = "out")]
     depth: Vec<Format>,
     /// Leave the surface open where it breaks by more than this many pixels.
-    #[arg(long, default_value_t = 8.0)]
+    #[arg(long, default_value_t = 8.0, value_parser = pixels)]
     cliff: f32,
 }
+
+fn pixels(text: &str) -> Result<f32, String> {
+    let number = text.parse::<f32>().ok().filter(|v| *v > 0.0 && v.is_finite());
+    number.ok_or_else(|| "a number of pixels above 0".into())
+}
+
+/// Lights where none are asked for.
+const LIGHTS: usize = 10;
 
 /// Largest expected error on the colour scale, degrees.
 const SCALE: f32 = 45.0;
 
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let solver = solve::by_name(&args.solver)?;
+    if let (Some(lights), ALL_LIGHTS) = (args.lights, args.planner.as_str()) {
+        bail!("--lights {lights}: all lights are taken unless --planner chooses some, as --planner dc05");
+    }
+    if let Some(lights) = args.lights.filter(|t| !(3..=1000).contains(t)) {
+        bail!("--lights {lights}: 3 to 1000 (a normal needs at least three lights)");
+    }
     let models = args.models.load(std::slice::from_ref(&args.planner))?;
+    planner::check_lights(&args.planner, args.lights.unwrap_or(LIGHTS), Some(&models))?;
     let mut failed = false;
     let mut predictions = Vec::new();
     args.selection.for_each(args.protocol, |name, object| {
@@ -117,31 +133,25 @@ fn one(
     let lookup = Lookup::Nearest;
     let spec = RunSpec {
         planner: args.planner.clone(),
-        lights: args.lights,
+        lights: args.lights.unwrap_or(LIGHTS),
         lookup,
         draw: 0,
         seed: args.seed,
         stop_at: None,
     };
-    let seen = table::run(subject, &spec, &[], Some(models))?.seen;
+    let mut seen = table::run(subject, &spec, &[], Some(models))?.seen;
     // Planners look back only, so stopping early and cutting the whole run short are the same.
-    let counts = if args.stop_at.is_some() { 3..=seen.len() } else { seen.len()..=seen.len() };
-    let mut result = None;
-    for count in counts {
-        let measurements = Measurements::of(&seen[..count]);
-        let begun = Instant::now();
-        let mut solution = solver.solve(&measurements)?;
-        let seconds = begun.elapsed().as_secs_f64();
-        let begun = Instant::now();
-        uncertainty::complete(solver.name(), &measurements, &mut solution)?;
-        let seconds = (seconds, begun.elapsed().as_secs_f64());
-        let enough = args.stop_at.is_some_and(|s| s.met(&solution, count));
-        result = Some((count, seconds, solution));
-        if enough {
-            break;
-        }
+    if let Some(stop) = args.stop_at {
+        let enough = |&count: &usize| stop.enough(solver, &Measurements::of(&seen[..count]));
+        seen.truncate((1..seen.len()).find(enough).unwrap_or(seen.len()));
     }
-    let (count, seconds, solution) = result.context("no picture was taken")?;
+    let (count, measurements) = (seen.len(), Measurements::of(&seen));
+    let begun = Instant::now();
+    let mut solution = solver.solve(&measurements)?;
+    let solved = begun.elapsed().as_secs_f64();
+    let begun = Instant::now();
+    uncertainty::complete(solver.name(), &measurements, &mut solution)?;
+    let seconds = (solved, begun.elapsed().as_secs_f64());
     let truth = subject.truth().map(|t| error::error_map(&solution.normals, t));
     let expected = uncertainty::predicted_mae(&solution).unwrap_or(f32::NAN);
     let prediction = truth.as_ref().map(|t| {

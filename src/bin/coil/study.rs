@@ -2,6 +2,7 @@
 
 use crate::objects::Selection;
 use crate::output;
+use anyhow::{Context, bail};
 use clap::{Args, Subcommand};
 use coil_ps::camera::Camera;
 use coil_ps::eval::plot::{LinePlot, Point, Series};
@@ -12,7 +13,7 @@ use coil_ps::light;
 use coil_ps::relight::{Lookup, StackCamera};
 use rayon::prelude::*;
 use serde::Serialize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// Studies that need the ground truth.
@@ -47,9 +48,9 @@ struct KArgs {
     /// Write the results as JSON to FILE (- or nothing: to standard output, instead of the table).
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "-")]
     json: Option<PathBuf>,
-    /// Where to write the plot (SVG).
-    #[arg(long, value_name = "FILE", default_value = "study-k.svg")]
-    plot: PathBuf,
+    /// Write the plot as SVG to FILE.
+    #[arg(long, value_name = "FILE")]
+    plot: Option<PathBuf>,
 }
 
 #[derive(Serialize)]
@@ -89,6 +90,13 @@ pub fn run(args: StudyArgs) -> anyhow::Result<ExitCode> {
     let most = lights.iter().copied().max().unwrap_or(0);
     anyhow::ensure!(args.k.iter().all(|k| (1..=100_000).contains(k)), "--k: numbers from 1 to 100000");
     anyhow::ensure!(lights.iter().all(|t| (3..=1000).contains(t)), "--lights: numbers from 3 to 1000");
+    let least = lights.iter().copied().min().unwrap_or(0);
+    if let Some(k) = args.k.iter().find(|&&k| k < least) {
+        bail!("--k {k}: less candidates than the {least} lights that are to be chosen");
+    }
+    for path in args.json.iter().chain(&args.plot) {
+        output::check_file(path)?;
+    }
     let mut results = Vec::new();
     let reach = args.selection.reach.to_radians();
     args.selection.for_each(args.protocol, |name, object| {
@@ -109,9 +117,8 @@ pub fn run(args: StudyArgs) -> anyhow::Result<ExitCode> {
     })?;
     let failed = results.iter().any(|e| e.error.is_some());
     let means = means(&results, &args.k, &lights);
-    output::write(&args.plot, plot(&means, &args.k).svg().as_bytes())?;
-    eprintln!("plot: {}", args.plot.display());
     let table = text_table(&means, &args.k, &lights);
+    let svg = plot(&means, &args.k).svg();
     let report = StudyReport {
         schema: "coil-ps/study-k/1",
         k: args.k,
@@ -121,13 +128,14 @@ pub fn run(args: StudyArgs) -> anyhow::Result<ExitCode> {
         results,
         means,
     };
-    match &args.json {
-        Some(path) if path.as_os_str() == "-" => output::write_json(path, &report)?,
-        Some(path) => {
-            output::write_json(path, &report)?;
-            print!("{table}");
-        }
-        None => print!("{table}"),
+    if args.json.as_deref() != Some(Path::new("-")) {
+        print!("{table}");
+    }
+    if let Some(path) = &args.json {
+        output::write_json(path, &report)?;
+    }
+    if let Some(path) = &args.plot {
+        output::write(path, svg.as_bytes())?;
     }
     Ok(ExitCode::from(u8::from(failed)))
 }
@@ -139,7 +147,12 @@ fn search(
     most: usize,
     lookup: Lookup,
 ) -> anyhow::Result<Vec<Entry>> {
-    let truth = subject.truth().ok_or_else(|| anyhow::anyhow!("no ground truth, which the study needs"))?;
+    let truth = subject.truth().context("no ground truth, which the study needs")?;
+    if let Subject::Stack(stack) = subject
+        && stack.len() < most
+    {
+        bail!("{} photos for up to {most} lights: ask for at most {0} (--lights)", stack.len());
+    }
     let bar = output::progress(ks.len(), subject.name());
     let entries = ks
         .par_iter()

@@ -1,7 +1,8 @@
 //! `coil train policy`: COIL-PS's network, in resumable pieces.
 
 use crate::model;
-use crate::output::replace;
+use crate::objects::{is_mesh, read_mesh};
+use crate::output::{at_least_one, replace};
 use anyhow::{Context, bail};
 use clap::ValueEnum;
 use coil_ps::light::{azimuth, fibonacci_cap, from_azimuth_slant, ring, slant};
@@ -59,7 +60,7 @@ pub struct Args {
     #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
     validate_every: u64,
     /// Objects to validate on.
-    #[arg(long, default_value_t = 32)]
+    #[arg(long, default_value_t = 32, value_parser = at_least_one())]
     validation_objects: usize,
     /// Folder of meshes (.obj, .ply, .stl) to validate on, in turn; without it sculptures that are not trained on.
     #[arg(long, value_name = "DIR")]
@@ -400,17 +401,15 @@ fn read_meshes(dir: &Path) -> anyhow::Result<Vec<(String, Mesh)>> {
     for entry in fs::read_dir(dir).with_context(|| dir.display().to_string())? {
         files.push(entry?.path());
     }
-    files.retain(|f| {
-        f.extension().is_some_and(|e| ["obj", "ply", "stl"].iter().any(|m| e.eq_ignore_ascii_case(m)))
-    });
+    files.retain(|f| is_mesh(&f.to_string_lossy()));
     files.sort();
     if files.is_empty() {
         bail!("{}: no mesh (.obj, .ply, .stl)", dir.display());
     }
     let read = |file: &PathBuf| -> anyhow::Result<(String, Mesh)> {
         let name = file.display().to_string();
-        let bytes = fs::read(file).with_context(|| name.clone())?;
-        Ok((name.clone(), Mesh::from_bytes(&name, &bytes).context(name)?))
+        let mesh = read_mesh(&name)?;
+        Ok((name, mesh))
     };
     files.iter().map(read).collect()
 }

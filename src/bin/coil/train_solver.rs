@@ -1,6 +1,6 @@
 //! `coil train solver`: the pixel network, from synthetic pixels made on the fly.
 
-use crate::output::replace;
+use crate::output::{at_least_one, replace};
 use anyhow::Context;
 use coil_ps::pixels::fit::{Recipe, Report, Training};
 use coil_ps::pixels::tune::{bench, score};
@@ -28,10 +28,10 @@ pub struct Args {
     #[arg(long, default_value_t = Recipe::default().seed)]
     seed: u64,
     /// Light sets of a step, with 16 pixels under each.
-    #[arg(long, default_value_t = Recipe::default().groups)]
+    #[arg(long, default_value_t = Recipe::default().groups, value_parser = at_least_one())]
     groups: usize,
     /// Largest learning rate.
-    #[arg(long, default_value_t = Recipe::default().rate)]
+    #[arg(long, default_value_t = Recipe::default().rate, value_parser = rate)]
     rate: f32,
     /// Steps between validations.
     #[arg(long, default_value_t = 500, value_parser = clap::value_parser!(u64).range(1..))]
@@ -42,6 +42,10 @@ pub struct Args {
     /// Stop after this many seconds; the same command goes on later.
     #[arg(long)]
     seconds: Option<u64>,
+}
+
+fn rate(text: &str) -> Result<f32, String> {
+    text.parse().ok().filter(|r| *r > 0.0 && *r < 1.0).ok_or_else(|| "a number between 0 and 1".into())
 }
 
 /// Numbers of lights that are validated.

@@ -19,7 +19,7 @@ pub struct Args {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Light sets for each number of lights (64 pixels each).
-    #[arg(long, default_value_t = 200)]
+    #[arg(long, default_value_t = 200, value_parser = output::at_least_one())]
     sets: usize,
     /// Instead fit what errors to expect of every solver, and write the weights to FILE (models/expected-error.json).
     #[arg(long, value_name = "FILE")]
@@ -27,10 +27,10 @@ pub struct Args {
     #[command(flatten)]
     models: models::Folder,
     /// Rendered objects that this is fitted to.
-    #[arg(long, default_value_t = 800)]
+    #[arg(long, default_value_t = 800, value_parser = output::at_least_one())]
     objects: usize,
     /// Rendered validation objects that it is looked at on.
-    #[arg(long, default_value_t = 50)]
+    #[arg(long, default_value_t = 50, value_parser = output::at_least_one())]
     checks: usize,
     /// Their size in pixels.
     #[arg(long, default_value_t = 64)]
