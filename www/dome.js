@@ -26,6 +26,8 @@ const VIEW = { left: -117, top: -113, width: 234, height: 226 };
 const OBJECT_SIZE = 1.12;
 const DEFAULT_TURN = { yaw: -0.42, tilt: 0.72 };
 const KEY_STEP = Math.PI / 36;
+/** A pointer that moves less than this, in the dome's units, turns nothing: it points. */
+const TAP = 3;
 
 export class Dome {
   #yaw = DEFAULT_TURN.yaw;
@@ -89,9 +91,10 @@ export class Dome {
     this.#redraw();
   }
 
-  /** @param {Picture} picture the object in the middle, as the camera sees it */
+  /** @param {Picture | null} picture the object in the middle, as the camera sees it */
   setObject(picture) {
-    draw(this.#canvas, picture);
+    if (picture) draw(this.#canvas, picture);
+    else this.#canvas.width = this.#canvas.height = 1; // which clears it
     this.#placeObject();
   }
 
@@ -312,8 +315,12 @@ export class Dome {
   }
 
   #listen() {
-    /** @type {{ kind: "sun" | "turn", x: number, y: number } | null} */
+    /** @type {{ kind: "sun" | "turn", x: number, y: number, tapped: Element | null } | null} tapped: until it moves */
     let drag = null;
+    const over = (/** @type {Element} */ element) => {
+      const hit = element.getAttribute("data-candidate");
+      this.#point(hit === null ? null : Number(hit));
+    };
     const position = (/** @type {PointerEvent} */ event) => {
       const box = this.#svg.getBoundingClientRect();
       const unit = VIEW.width / box.width;
@@ -323,22 +330,26 @@ export class Dome {
       const target = /** @type {Element} */ (event.target);
       const light = target.closest("[data-light]")?.getAttribute("data-light");
       if (light) this.#events.onLight?.(Number(light));
-      drag = { kind: target.closest(".sun") ? "sun" : "turn", ...position(event) };
+      drag = { kind: target.closest(".sun") ? "sun" : "turn", ...position(event), tapped: target };
       this.#svg.setPointerCapture(event.pointerId);
     });
     this.#svg.addEventListener("pointermove", event => {
       const at = position(event);
       if (drag?.kind === "sun" && this.#sun) this.#moveSun(this.#unproject(at.x, at.y, this.#sun));
       else if (drag?.kind === "turn") {
+        if (drag.tapped && Math.hypot(at.x - drag.x, at.y - drag.y) < TAP) return;
+        this.#point(null); // what turns leaves the pointer
         this.turn((at.x - drag.x) / RADIUS, (at.y - drag.y) / RADIUS);
-        Object.assign(drag, at);
-      } else {
-        const hit = /** @type {Element} */ (event.target).getAttribute("data-candidate");
-        this.#point(hit === null ? null : Number(hit));
-      }
+        Object.assign(drag, at, { tapped: null });
+      } else over(/** @type {Element} */ (event.target));
     });
-    for (const end of ["pointerup", "pointercancel"]) this.#svg.addEventListener(end, () => { drag = null; });
-    this.#svg.addEventListener("pointerleave", () => this.#point(null));
+    this.#svg.addEventListener("pointerup", () => {
+      if (drag?.kind === "turn" && drag.tapped) over(drag.tapped);
+      drag = null;
+    });
+    this.#svg.addEventListener("pointercancel", () => { drag = null; });
+    // A finger leaves when it is lifted: what it has tapped stays until the next tap.
+    this.#svg.addEventListener("pointerleave", event => { if (event.pointerType !== "touch") this.#point(null); });
     this.#svg.addEventListener("blur", () => this.#point(null));
     this.#svg.addEventListener("keydown", event => this.#key(event));
   }

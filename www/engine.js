@@ -1,5 +1,7 @@
 // The page's side of the worker: one call a request, with progress and an abort signal.
 
+import { BROKEN } from "./errors.js";
+
 /** @typedef {import("./messages.js").Calls} Calls */
 /** @typedef {import("./messages.js").Kind} Kind */
 /** @typedef {import("./messages.js").Reply} Reply */
@@ -18,7 +20,7 @@ const LASTING = /** @type {Kind[]} */ (["open", "prepare"]);
 
 /**
  * @typedef {object} Pending
- * @property {object} request as posted
+ * @property {{ id: number, kind: Kind }} request as posted
  * @property {AbortSignal} [signal]
  * @property {(value: any) => void} resolve
  * @property {(error: Error) => void} reject
@@ -37,6 +39,17 @@ export class Engine {
 
   /** Called when the worker fails outside of any request: a defect, or no WebAssembly here. */
   onCrash = /** @type {(error: Error) => void} */ (error => console.error(error));
+
+  /** Called when a new worker has the object of the one before, but nothing of what was shown. */
+  onRestored = () => {};
+
+  /** Called when a new worker could not be given the object, and has none. */
+  onLost = /** @type {(error: Error) => void} */ (() => {});
+
+  /** Whether the worker has, or is being given, an object. */
+  get opened() {
+    return this.#lasting.has("open");
+  }
 
   /**
    * @template {Kind} K
@@ -90,6 +103,7 @@ export class Engine {
       for (const { reject } of this.#pending.values()) reject(error);
       this.#pending.clear();
       this.onCrash(error);
+      if (this.opened) this.#restart();
     };
     return worker;
   }
@@ -103,9 +117,13 @@ export class Engine {
     if (reply.type === "done") return pending.resolve(reply.value);
     const { name, message } = reply.error;
     pending.reject(name === "AbortError" ? aborted() : Object.assign(new Error(message), { name }));
+    if (name !== BROKEN) return;
+    // What breaks it is not repeated; an object that it breaks on can't be worked with.
+    if (LASTING.includes(pending.request.kind)) this.#lasting.clear();
+    this.#restart();
   }
 
-  /** Ends a worker that is deep in a computation, and gives a new one the same object and what else was asked. */
+  /** Ends a worker that is deep in a computation, or broken, and gives a new one the same object and what else was asked. */
   #restart() {
     this.#worker.terminate();
     const waiting = [...this.#pending.values()];
@@ -120,7 +138,12 @@ export class Engine {
         if (this.#lasting.has(kind)) await this.#send(kind, this.#lasting.get(kind), {});
       }
       for (const { request, signal } of waiting) if (!signal?.aborted) this.#worker.postMessage(request);
-    })().catch(this.onCrash);
+      if (this.opened) this.onRestored();
+    })().catch(error => {
+      this.#lasting.clear();
+      for (const { request, reject } of waiting) if (this.#pending.delete(request.id)) reject(error);
+      this.onLost(error);
+    });
   }
 }
 

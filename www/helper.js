@@ -1,6 +1,7 @@
 // Works for the worker: decodes images (bytes in, the values of the object's pixels out) solves pieces of an object and
 // integrates its normals.
 
+import { told } from "./errors.js";
 import { decodePixels, initSync, integrateNormals, loadPixelNetwork, solvePiece } from "./pkg/core/coil_ps.js";
 
 /** @typedef {import("./messages.js").HelperReply} HelperReply */
@@ -32,7 +33,7 @@ self.onmessage = async ({ data }) => {
       reply({ kind: "done", id, bits, result: /** @type {ArrayBuffer} */ (rgb.buffer) });
     }
   } catch (error) {
-    reply({ kind: "failed", id, message: error instanceof Error ? error.message : String(error) });
+    reply({ kind: "failed", id, error: told(error) });
   }
 };
 

@@ -1,5 +1,7 @@
 // Workers that share long work: images to decode, pieces of an object to solve, normals to integrate.
 
+import { BROKEN } from "./errors.js";
+
 /** @typedef {import("./messages.js").HelperReply} HelperReply */
 /** @typedef {import("./messages.js").HelperRequest} HelperRequest */
 /** @typedef {Extract<HelperReply, { kind: "done" }>} Done */
@@ -136,7 +138,8 @@ export class Helpers {
   /** Fetches the learned solver's network and gives it to all helpers; its bytes. */
   network() {
     this.#network ??= (async () => {
-      const reply = await fetch(new URL("models/pixel.onnx", import.meta.url));
+      const reply = await fetch(new URL("models/pixel.onnx", import.meta.url))
+        .catch(error => { throw new Error(`the network of the learned solver could not be fetched (${error.message})`); });
       if (!reply.ok) throw new Error(`the network of the learned solver is not there: models/pixel.onnx, status ${reply.status}`);
       const bytes = new Uint8Array(await reply.arrayBuffer());
       await this.start();
@@ -184,12 +187,23 @@ export class Helpers {
     }
   }
 
+  /** A job whose work can't be made ready (a file that is gone or damaged) fails alone. @param {Job} job */
+  #next(job) {
+    try {
+      return job.next();
+    } catch (error) {
+      job.fail(/** @type {Error} */ (error));
+      this.#jobs = this.#jobs.filter(other => other !== job);
+      return null;
+    }
+  }
+
   /** @param {Helper} helper */
   #feed({ worker, given }) {
     for (const job of this.#jobs) {
       if ([...given.values()].some(({ kind }) => kind === "normals")) return; // for seconds
       while (given.size < AHEAD[job.kind]) {
-        const work = job.next();
+        const work = this.#next(job);
         if (!work) break;
         given.set(work.message.id, job);
         worker.postMessage(work.message, work.transfer);
@@ -202,12 +216,13 @@ export class Helpers {
    * @param {HelperReply} reply
    */
   #receive(helper, reply) {
+    if (reply.kind === "failed" && reply.error.name === BROKEN) return this.#lost(helper, new Error(reply.error.message));
     const job = helper.given.get(reply.id);
     helper.given.delete(reply.id);
     this.#feed(helper);
     if (!job || !this.#jobs.includes(job)) return; // it was aborted, or has failed before
     try {
-      if (reply.kind === "failed") throw new Error(reply.message);
+      if (reply.kind === "failed") throw new Error(reply.error.message);
       job.done(reply);
     } catch (error) {
       job.fail(/** @type {Error} */ (error));

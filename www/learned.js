@@ -53,9 +53,14 @@ export class Models {
   async load(name, signal, progress) {
     if (this.#loaded.has(name)) return;
     progress(`fetching the network of ${name}`);
+    /** @param {Error} error */
+    const failed = error => {
+      signal.throwIfAborted();
+      throw new Error(`the network of ${name} could not be fetched (${error.message})`);
+    };
     /** @param {string} folder */
     const files = folder => Promise.all(["encoder", "step"].map(async part => {
-      const reply = await fetch(new URL(`models/${folder}/${part}.onnx`, import.meta.url), { signal });
+      const reply = await fetch(new URL(`models/${folder}/${part}.onnx`, import.meta.url), { signal }).catch(failed);
       if (!reply.ok) throw new Error(`the trained network of ${name} is not there: ${part}.onnx, status ${reply.status}`);
       return new Uint8Array(await reply.arrayBuffer());
     }));
@@ -94,7 +99,9 @@ export class Models {
 export async function loadFull(signal, progress) {
   progress("fetching the runtime for learned planners");
   await built(signal, progress);
-  const lib = /** @type {Lib & Learning} */ (await import(String(MODULE)));
+  const lib = /** @type {Lib & Learning} */ (await import(String(MODULE)).catch(() => {
+    throw new Error("the runtime of the learned planners could not be fetched");
+  }));
   await lib.default({ module_or_path: new URL("pkg/policy/coil_ps_bg.wasm", import.meta.url) });
   signal.throwIfAborted();
   return { lib, models: new Models(new lib.Models()), adopt: (/** @type {CapturedObject} */ object) => adopt(lib, object) };

@@ -5,6 +5,7 @@
 //   page.engine    calls to the worker that computes everything (engine.js, messages.js)
 //   page.announce  says something to people who listen to the page
 //   page.problem   shows what went wrong and what to do about it; returns nothing, never throws
+//   page.mended    takes back what was shown under one of these titles
 // `Dome` (dome.js), `draw` (svg.js) and `Store` (store.js) are for every view.
 
 import { Engine, isAbort } from "./engine.js";
@@ -15,6 +16,7 @@ import { find, html } from "./svg.js";
  * @property {Engine} engine
  * @property {(text: string) => void} announce
  * @property {(title: string, error: unknown, advice?: string) => void} problem
+ * @property {(...titles: string[]) => void} mended
  *
  * @typedef {{ mount: (root: HTMLElement, page: Page) => void | Promise<void> }} ViewModule
  * @typedef {{ id: string, title: string, load: () => Promise<ViewModule> }} View
@@ -26,6 +28,12 @@ const VIEWS = [
   { id: "rig", title: "Rig", load: () => import("./rig/rig.js") },
 ];
 
+/** So many announcements stay, for those who read them later. */
+const ANNOUNCEMENTS = 5;
+
+/** What was shown last. @type {unknown} */
+let reported = null;
+
 const problems = find(document, "#problems", HTMLElement);
 const announcements = find(document, "#announcements", HTMLElement);
 
@@ -33,18 +41,31 @@ const announcements = find(document, "#announcements", HTMLElement);
 const page = {
   engine: new Engine(),
 
+  // Each is added: what comes at the same time must not wipe the other out before it is read.
   announce(text) {
-    announcements.textContent = text;
+    announcements.append(html("p", {}, text));
+    while (announcements.childElementCount > ANNOUNCEMENTS) announcements.firstElementChild?.remove();
   },
 
   problem(title, error, advice) {
-    if (isAbort(error)) return;
+    // A worker that has failed fails all its requests: the first title says best what happened.
+    if (isAbort(error) || error instanceof Error && error === reported) return;
+    reported = error;
     const said = error instanceof Error ? error.message : String(error);
     const close = html("button", { class: "button small", type: "button" }, "Dismiss");
     const card = html("section", { class: "problem", "aria-label": title }, html("h2", {}, title), close, html("p", { class: "said" }, said));
     if (advice) card.append(html("p", {}, advice));
-    close.addEventListener("click", () => card.remove());
+    close.addEventListener("click", () => {
+      card.remove();
+      find(document, "#content", HTMLElement).focus();
+    });
     problems.replaceChildren(card);
+    card.scrollIntoView({ block: "nearest" });
+  },
+
+  mended(...titles) {
+    const card = problems.firstElementChild;
+    if (titles.includes(card?.getAttribute("aria-label") ?? "")) card?.remove();
   },
 };
 

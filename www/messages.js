@@ -131,7 +131,7 @@
  * From a helper: of an image RGB code values of the mask pixels, 16 bit each; of a piece what `solvePiece` returns;
  * of normals the heights.
  * @typedef {{ kind: "done", id: number, bits: number, result: ArrayBuffer }
- *   | { kind: "failed", id: number, message: string }} HelperReply
+ *   | { kind: "failed", id: number, error: { name: string, message: string } }} HelperReply
  */
 
 export {};

@@ -22,6 +22,7 @@ export async function readObject(lib, files, wanted, helpers, signal, progress) 
   const listed = archive ? lib.ObjectFiles.zip(await bytesOf(archive), archive.name) : new lib.ObjectFiles();
   for (const path of byPath.keys()) listed.list(path);
   const objects = listed.names();
+  if (!objects.length) throw new Error(`${archive?.name ?? "what was opened"} has no folder with light_directions.txt`);
   const folder = listed.folderOf(wanted ?? "");
   for (const [path, file] of byPath) {
     const inside = folder === "" || path.startsWith(`${folder}/`);

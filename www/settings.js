@@ -49,9 +49,19 @@ export function stopAt(degrees) {
 }
 
 /**
+ * A look-up, with the width of its blend within what the page's field takes.
+ * @param {string | null} text
+ */
+function lookup(text) {
+  const [kind, tau, ...more] = (text ?? "").split(":");
+  const soft = kind === "soft" && Number(tau) >= 0.001 && Number(tau) <= 10 && !more.length;
+  return soft ? `soft:${Number(tau)}` : DEFAULTS.lookups[0];
+}
+
+/**
  * The settings in an address (`location.hash`); what it lacks or garbles is the default.
  * @param {string} hash
- * @returns {{ settings: Settings, sculpture: Sculpture }}
+ * @returns {{ settings: Settings, sculpture: Sculpture, named: boolean }} named: whether it says which object
  */
 export function fromHash(hash) {
   const fields = new URLSearchParams(hash.replace(/^#/, ""));
@@ -63,11 +73,12 @@ export function fromHash(hash) {
       solvers: names(fields.get("solvers"), DEFAULTS.solvers),
       lights: [whole(fields.get("lights"), 3, 1000, DEFAULTS.lights[0])],
       protocol: protocol === "128" || protocol === "official" ? protocol : DEFAULTS.protocol,
-      lookups: names(fields.get("lookup"), DEFAULTS.lookups).slice(0, 1),
+      lookups: [lookup(fields.get("lookup"))],
       draws: whole(fields.get("draws"), 1, 1000, DEFAULTS.draws),
       seed: whole(fields.get("seed"), 0, 2 ** 32 - 1, DEFAULTS.seed),
       ...stopAt(Number(fields.get("stop"))),
     },
+    named: fields.has("object"),
     sculpture: {
       kind: "sculpture",
       family: NAME.test(family) ? family : BUILT_IN.family,

@@ -2,6 +2,7 @@
 // as they come; a run pauses between its slices, so that others are answered meanwhile, and an abort is heard.
 
 import * as core from "./pkg/core/coil_ps.js";
+import { told } from "./errors.js";
 import { Helpers } from "./helpers.js";
 import { readObject } from "./reader.js";
 import { LEARNED, learnedPlanners, loadFull } from "./learned.js";
@@ -99,14 +100,22 @@ const answers = {
     const learned = settings.planners.filter(name => name in LEARNED);
     const plain = settings.planners.filter(name => !(name in LEARNED));
     const whole = settings.planners.length;
+    // What can't be fetched takes its own rows with it, and no others.
+    const unsolved = settings.solvers.includes(IN_PIECES) ? await failure(helpers.network(), signal) : null;
+    const solvers = settings.solvers.filter(name => !unsolved || name !== IN_PIECES);
+    if (unsolved && !solvers.length) throw new Error(unsolved);
     /** @type {import("./messages.js").Report | null} */
     let report = null;
-    if (plain.length) report = await compare({ ...settings, planners: plain }, 0, whole, signal, progress);
-    if (!learned.length) return needed(report, "no planner was chosen");
-    const say = (/** @type {string} */ what) => progress({ done: plain.length, total: whole, what, step: null, row: [] });
-    await learn(learned, signal, say);
-    const late = await compare({ ...settings, planners: learned }, plain.length, whole, signal, progress);
-    return { ...late, settings, results: [...(report?.results ?? []), ...late.results] };
+    if (plain.length) report = await compare({ ...settings, solvers, planners: plain }, 0, whole, signal, progress);
+    if (learned.length) {
+      const say = (/** @type {string} */ what) => progress({ done: plain.length, total: whole, what, step: null, row: [] });
+      const unplanned = await failure(learn(learned, signal, say), signal);
+      const late = await compare({ ...settings, solvers, planners: learned }, plain.length, whole, signal, progress);
+      const rows = late.results.map(row => row.error && unplanned ? { ...row, error: unplanned } : row);
+      report = { ...late, results: [...(report?.results ?? []), ...rows] };
+    }
+    const { results, ...rest } = needed(report, "no planner was chosen");
+    return { ...rest, settings, results: unsolved ? results.flatMap(row => withFailed(row, solvers, unsolved)) : results };
   },
 
   // A run is nothing but the directions it asked for: its pictures can be had again at any step.
@@ -222,6 +231,32 @@ const answers = {
     }
   },
 };
+
+/**
+ * What to say where something could not be fetched; null where it was.
+ * @param {Promise<unknown>} fetching
+ * @param {AbortSignal} signal
+ */
+async function failure(fetching, signal) {
+  try {
+    await fetching;
+    return null;
+  } catch (error) {
+    signal.throwIfAborted();
+    return `${told(error).message}. Check the connection, then press Run again`;
+  }
+}
+
+/**
+ * A row, and after a planner's last one a row of the solver that is not there.
+ * @param {import("./messages.js").ResultRow} row
+ * @param {string[]} solvers that are
+ * @param {string} error
+ */
+function withFailed(row, solvers, error) {
+  if (row.solver !== solvers.at(-1)) return [row];
+  return [row, { ...row, solver: IN_PIECES, mae: null, ci95: null, mae_as_published: null, maes: [], error }];
+}
 
 /**
  * Renders an object under a stage of lights.
@@ -465,8 +500,7 @@ self.onmessage = async ({ data }) => {
     const value = await answer(body, { signal: controller.signal, progress });
     self.postMessage({ id, type: "done", value }, { transfer: buffers(value) });
   } catch (error) {
-    const { name, message } = error instanceof Error || error instanceof DOMException ? error : new Error(String(error));
-    self.postMessage({ id, type: "failed", error: { name, message } });
+    self.postMessage({ id, type: "failed", error: told(error) });
   } finally {
     underWay.delete(id);
   }

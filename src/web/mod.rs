@@ -36,6 +36,7 @@ pub use tiles::{Tiles, Values, solve_piece};
 
 use crate::solve::pixel::{self, PixelNetwork, onnx};
 use crate::solve::{self, Solver};
+use crate::stack::Mask;
 use glam::Vec3;
 use serde::Serialize;
 use std::sync::{Arc, OnceLock};
@@ -132,6 +133,12 @@ export interface Report {
 }
 "#;
 
+/// A panic says where it was in the browser's console; what JavaScript catches is only "unreachable".
+#[wasm_bindgen(start)]
+fn start() {
+    console_error_panic_hook::set_once();
+}
+
 fn fail(error: impl std::fmt::Display) -> JsError {
     JsError::new(&error.to_string())
 }
@@ -175,6 +182,12 @@ fn directions(values: &[f32]) -> Result<Vec<Vec3>, JsError> {
     } else {
         Err(fail(format!("{} numbers: a list of directions has three for each", values.len())))
     }
+}
+
+/// The object's pixels from a byte for each pixel of a `width × height` image, not 0 on the object.
+fn mask_of(bytes: &[u8], width: u32, height: u32) -> Result<Mask, JsError> {
+    let inside: Vec<bool> = bytes.iter().map(|&b| b != 0).collect();
+    Mask::new(width, height, &inside).map_err(fail)
 }
 
 fn flat(directions: &[Vec3]) -> Vec<f32> {

@@ -1,11 +1,11 @@
 //! Datasets: names and bytes in, an object out, with the images decoded wherever the caller likes.
 
-use super::{directions, fail, flat, stack::Stack};
+use super::{directions, fail, flat, mask_of, stack::Stack};
 use crate::dataset::archive::{self, Zip};
 use crate::dataset::diligent::{self, Header};
 use crate::dataset::{Files, Limits, Memory};
 use crate::eval::{Protocol, protocol};
-use crate::stack::{BitDepth, Mask, RawStack};
+use crate::stack::{BitDepth, RawStack};
 use wasm_bindgen::prelude::*;
 
 /// The files of a dataset in DiLiGenT's layout: one object, or a folder of them.
@@ -98,10 +98,21 @@ impl ObjectFiles {
     /// Reads and checks everything of the object in `folder` but its images.
     pub fn header(&self, folder: &str) -> Result<ObjectHeader, JsError> {
         let header = Header::read(self.files(), folder, &Limits::default()).map_err(fail)?;
+        let (images, pixels) = (header.images.len(), header.mask.len());
+        if images.saturating_mul(pixels) > MOST_VALUES {
+            return Err(fail(format!(
+                "{images} images with {pixels} pixels of the object: a page's memory holds {} million of them in all; crop or scale the \
+                 images, use fewer, or use the command line",
+                MOST_VALUES / 1_000_000
+            )));
+        }
         let pixels = header.images.iter().map(|_| None).collect();
         Ok(ObjectHeader { header, pixels })
     }
 }
+
+/// Pixels of all images of an object together: 22 bytes each, as read and as solved, of the 4 GB that a module can have.
+const MOST_VALUES: usize = 150_000_000;
 
 /// Everything of one object but its images, and the images as they are put in.
 #[wasm_bindgen]
@@ -126,8 +137,7 @@ impl ObjectHeader {
         intensities: &[f32],
         truth: Option<Vec<f32>>,
     ) -> Result<ObjectHeader, JsError> {
-        let inside: Vec<bool> = mask.iter().map(|&m| m != 0).collect();
-        let mask = Mask::new(width, height, &inside).map_err(fail)?;
+        let mask = mask_of(mask, width, height)?;
         let lights = directions(lights)?;
         let intensities = directions(intensities)?.iter().map(glam::Vec3::to_array).collect();
         let truth = truth.map(|t| directions(&t)).transpose()?;
@@ -217,8 +227,7 @@ pub fn decode_pixels(
     height: u32,
     file: &str,
 ) -> Result<Pixels, JsError> {
-    let inside: Vec<bool> = mask.iter().map(|&m| m != 0).collect();
-    let mask = Mask::new(width, height, &inside).map_err(fail)?;
+    let mask = mask_of(mask, width, height)?;
     diligent::decode_pixels(bytes, &mask, file).map(Pixels).map_err(fail)
 }
 

@@ -9,6 +9,8 @@ import { dash, label, marker, seriesColour, solverLabel } from "./series.js";
 
 const MARGIN = { left: 40, right: 128, top: 12, bottom: 34 };
 const HEIGHT = 280;
+/** Where names don't fit beside the curves they are below, two a line of this height. */
+const LEGEND_LINE = 20;
 /** A normal needs so many lights. */
 const FIRST = 3;
 
@@ -30,8 +32,8 @@ export function mountChart(root, { store, actions }) {
     if (!drawing) return;
     const copy = /** @type {SVGSVGElement} */ (drawing.cloneNode(true));
     copyStyles(drawing, copy);
-    set(copy, { width: drawing.clientWidth, height: HEIGHT });
-    download(new Blob([new XMLSerializer().serializeToString(copy)], { type: "image/svg+xml" }), `${store.state.object?.name ?? "error"}-error.svg`);
+    set(copy, { width: drawing.clientWidth });
+    download(new Blob([new XMLSerializer().serializeToString(copy)], { type: "image/svg+xml" }), `${store.state.object?.name ?? "object"}-${store.state.shown.solver}-error.svg`);
   });
 
   const redraw = () => {
@@ -87,8 +89,8 @@ function plot(series, width, { shown, catalogue, ran }, actions) {
   const right = narrow ? 56 : MARGIN.right;
   const x = (/** @type {number} */ t) => MARGIN.left + (width - MARGIN.left - right) * (t - FIRST) / (last - FIRST);
   const y = (/** @type {number} */ v) => HEIGHT - MARGIN.bottom - (HEIGHT - MARGIN.top - MARGIN.bottom) * (v - low) / (high - low);
-
-  const drawing = svg("svg", { viewBox: `0 0 ${width} ${HEIGHT}`, height: HEIGHT, role: "img", "aria-label": spoken(series, catalogue) });
+  const height = HEIGHT + (narrow ? 10 + LEGEND_LINE * Math.ceil(series.length / 2) : 0);
+  const drawing = svg("svg", { viewBox: `0 0 ${width} ${height}`, height, role: "img", "aria-label": spoken(series, catalogue) });
   for (const tick of ticks) {
     drawing.append(
       svg("line", { class: "axis-line", x1: MARGIN.left, x2: width - right, y1: y(tick), y2: y(tick) }),
@@ -126,6 +128,15 @@ function plot(series, width, { shown, catalogue, ran }, actions) {
     const text = svg("text", { class: "end", style: seriesColour(planner), x: width - right + 10, y: at - overflow + 4 },
       `${end.mae.toFixed(2)}°${narrow ? "" : ` ${shortLabel(label(catalogue, planner))}`}`);
     drawing.append(text);
+  }
+  if (narrow) {
+    series.forEach(({ planner }, i) => {
+      const [left, middle] = [(i % 2) * width / 2, HEIGHT + 10 + LEGEND_LINE * (i >> 1)];
+      drawing.append(svg("g", { style: seriesColour(planner) },
+        svg("path", { class: "series", d: `M${left} ${middle}h26`, "stroke-dasharray": dash(planner) }),
+        marker(planner, left + 13, middle, 3.4, "dot"),
+        svg("text", { class: "end", x: left + 34, y: middle + 4 }, shortLabel(label(catalogue, planner)))));
+    });
   }
   drawing.addEventListener("click", event => {
     const box = drawing.getBoundingClientRect();

@@ -10,6 +10,8 @@ import { label, seriesColour, solverLabel } from "./series.js";
 
 /** Pixels of the picture beside a candidate's direction. */
 const PHOTO = 112;
+/** No photo is larger. */
+const WHOLE = 4096;
 
 /**
  * @param {HTMLElement} root
@@ -127,7 +129,13 @@ export function mountDome(root, { page, store, actions }) {
     solver.replaceChildren(...(ran?.solvers ?? []).map(name => html("option", { value: name, selected: name === shown.solver }, solverLabel(name))));
     solver.hidden = (ran?.solvers.length ?? 0) < 2;
   });
+  let bare = true;
+  store.watch(["object"], () => {
+    bare = true;
+    dome.setObject(null);
+  });
   store.watch(["stack"], ({ stack }) => {
+    if (stack && bare) showFirst(stack);
     dome.update({ candidates: stack?.lights ?? [], reach: stack?.reach ?? 90, lights: [], current: 0, sun: null });
     tip.hidden = true;
   });
@@ -160,8 +168,21 @@ export function mountDome(root, { page, store, actions }) {
   store.watch(["sun"], ({ sun, view }) => { if (view) dome.update({ sun }); });
   store.watch(["relit", "view"], ({ relit, view }) => {
     const picture = relit ?? view?.image;
-    if (picture) dome.setObject(picture);
+    if (!picture) return;
+    bare = false;
+    dome.setObject(picture);
   });
+
+  /** Shows the object's first photo until a run has one. @param {import("../messages.js").StackInfo} stack */
+  async function showFirst(stack) {
+    const awaited = () => bare && store.state.stack === stack;
+    try {
+      const picture = await page.engine.call("photo", { index: 0, size: WHOLE });
+      if (awaited()) dome.setObject(picture);
+    } catch (error) {
+      if (awaited()) page.problem("The object's picture can't be shown", error);
+    }
+  }
 
   /**
    * @param {import("../messages.js").RunStep[]} steps

@@ -10,6 +10,7 @@ import { mountDome } from "./dome_panel.js";
 import { mountMaps } from "./maps.js";
 import { mountObject } from "./object.js";
 import { mountResults } from "./results.js";
+import { label, solverLabel } from "./series.js";
 import { mountSettings } from "./settings_panel.js";
 
 /** @typedef {import("../main.js").Page} Page */
@@ -43,7 +44,7 @@ import { mountSettings } from "./settings_panel.js";
  * @property {Report | null} report the table when it is complete
  * @property {Settings | null} ran what the table was made with
  * @property {Shown} shown
- * @property {StepView | null} view
+ * @property {StepView & { of: Shown } | null} view the newest maps there are, and of which step
  * @property {Insight | null} insight the learned planner that is shown, at work
  * @property {number} scale of the error map, degrees
  * @property {Direction} sun
@@ -88,8 +89,8 @@ export async function mount(root, page) {
 
   const catalogue = await page.engine.call("catalogue", {});
   store.update({ catalogue, settings: known(settings, catalogue) });
-  await actions.open(store.state.source);
   window.addEventListener("hashchange", () => actions.follow(location.hash));
+  await actions.open(store.state.source);
 }
 
 /**
@@ -117,15 +118,20 @@ function makeActions(page, store) {
   let opening = new AbortController();
   let running = new AbortController();
   let viewing = new AbortController();
+  /** Whether someone has chosen what to look at since the run began. */
+  let chosen = false;
+  /** Whether a run made way for an object that is being opened. */
+  let displaced = false;
 
   const refresh = newestOnly(async () => {
-    const { shown: { planner, solver, step }, scale, runs, ran } = store.state;
+    const { shown: of, scale, runs, ran } = store.state;
+    const { planner, solver, step } = of;
     const asked = (runs.get(planner) ?? []).slice(0, step).map(taken => taken.step.requested);
     if (!asked.length || !ran) return;
     const { signal } = viewing = new AbortController();
     const onProgress = (/** @type {StepView} */ view) => {
       if (signal.aborted) return;
-      store.update({ view });
+      store.update({ view: { ...view, of } });
       relight();
     };
     try {
@@ -133,7 +139,7 @@ function makeActions(page, store) {
       if (planner in LEARNED) look();
       else store.update({ insight: null });
     } catch (error) {
-      page.problem("This step can't be shown", error);
+      page.problem(RUNNING[1], error);
     }
   });
 
@@ -180,15 +186,34 @@ function makeActions(page, store) {
     }
   }
 
+  /** @param {Partial<Shown>} patch */
+  function lookAt(patch) {
+    const shown = { ...store.state.shown, ...patch };
+    const steps = store.state.runs.get(shown.planner)?.length ?? 0;
+    if (patch.planner && patch.step === undefined) shown.step = steps;
+    shown.step = Math.min(Math.max(shown.step, 1), Math.max(steps, 1));
+    store.update({ shown });
+    viewing.abort(); // what is still being solved is of no interest any more
+    refresh();
+  }
+
+  engine.onRestored = () => { if (store.state.view) refresh(); };
+  engine.onLost = error => {
+    page.problem(OPENING[0], error, "The files could not be read again: open the object once more.");
+    store.update(NOTHING);
+  };
+
   const actions = {
     /**
      * Opens an object and runs the settings on it.
      * @param {Source} source
      */
     async open(source) {
+      displaced ||= store.state.running !== null;
       opening.abort();
       running.abort();
       const { signal } = opening = new AbortController();
+      page.mended(...OPENING);
       store.update({ opening: { done: 0, total: 1, what: "opening" } });
       try {
         const object = await engine.call("open", { source }, {
@@ -196,14 +221,17 @@ function makeActions(page, store) {
           onProgress: progress => { if (!signal.aborted) store.update({ opening: progress }); },
         });
         store.update({ source, object, stack: null });
+        page.announce(`${object.name} is open.`);
         for (const note of object.notes) page.announce(note);
         actions.link();
         store.update({ opening: null });
         await actions.run();
       } catch (error) {
-        page.problem("This object can't be opened", error, ADVICE[source.kind]);
-      } finally {
-        if (opening.signal === signal) store.update({ opening: null });
+        page.problem(OPENING[0], error, ADVICE[source.kind]);
+        if (opening.signal !== signal) return;
+        store.update({ opening: null });
+        if (!engine.opened) store.update(NOTHING);
+        else if (displaced) await actions.run();
       }
     },
 
@@ -226,11 +254,11 @@ function makeActions(page, store) {
 
     /** @param {string} hash an address that someone has typed or pasted */
     async follow(hash) {
-      const { settings, sculpture } = fromHash(hash);
+      const { settings, sculpture, named } = fromHash(hash);
       const { catalogue, source } = store.state;
       store.update({ settings: catalogue ? known(settings, catalogue) : settings });
-      if (source.kind === "sculpture" && JSON.stringify(source) !== JSON.stringify(sculpture)) await actions.open(sculpture);
-      else await actions.run();
+      if ((named || source.kind === "sculpture") && JSON.stringify(source) !== JSON.stringify(sculpture)) await actions.open(sculpture);
+      else if (store.state.object) await actions.run();
     },
 
     /** Runs the settings on the object; ends a run that is under way. */
@@ -239,9 +267,10 @@ function makeActions(page, store) {
       viewing.abort();
       const { signal } = running = new AbortController();
       const { settings, shown } = store.state;
+      page.mended(...RUNNING);
+      chosen = displaced = false;
       const planner = settings.planners.includes(shown.planner) ? shown.planner : settings.planners[settings.planners.length > 1 ? 1 : 0];
       const solver = settings.solvers.includes(shown.solver) ? shown.solver : settings.solvers[0];
-      let following = true;
       store.update({
         running: { done: 0, total: 1 }, runs: new Map(), rows: [], report: null, ran: settings, view: null, insight: null, relit: null,
         shown: { planner, solver, step: 0 },
@@ -262,24 +291,28 @@ function makeActions(page, store) {
             if (!step) return;
             const steps = [...(runs.get(step.name) ?? []), step];
             store.update({ runs: new Map(runs).set(step.name, steps) });
-            // The view follows the run that is shown, until someone looks at an earlier step.
-            following &&= now.step === 0 || now.step >= steps.length - 1 || now.planner !== step.name;
-            if (following && now.planner === step.name) actions.show({ step: steps.length });
+            // The view follows the run that is shown, until someone looks at an earlier step. As long as that run has not
+            // begun, and nobody has chosen it, another one is better than nothing.
+            const follows = chosen
+              ? step.name === now.planner && now.step >= steps.length - 1
+              : step.name === planner || !runs.has(planner) && (step.name === now.planner || !runs.has(now.planner));
+            if (follows) lookAt({ planner: step.name, step: steps.length });
           },
         });
         const place = (/** @type {ResultRow} */ row) => settings.planners.indexOf(row.planner);
         const report = { ...made, settings, results: made.results.toSorted((a, b) => place(a) - place(b)) };
         store.update({ report, rows: report.results });
-        page.announce(summary(report));
+        page.announce(summary(report, store.state.catalogue));
         if (store.state.object?.truth && settings.solvers.includes(SLOW)) complete(settings, signal);
       } catch (error) {
         if (isAbort(error) && running.signal === signal) page.announce("The run was cancelled.");
-        page.problem("The run has failed", error);
+        page.problem(RUNNING[0], error);
+        if (!engine.opened) store.update(NOTHING);
       } finally {
         if (running.signal === signal) {
           store.update({ running: null });
           // The first thing to see is there at once, of a planner that needs no network; then ours, if nobody looks at something else.
-          if (following && shown.planner === "" && store.state.shown.planner === planner && store.state.runs.has(OURS)) actions.show({ planner: OURS });
+          if (!chosen && shown.planner === "" && store.state.shown.planner === planner && store.state.runs.has(OURS)) lookAt({ planner: OURS });
           // For learned planners the worker changes to the build that has them, and what was shown goes with the other one.
           else if (store.state.view && settings.planners.some(name => name in LEARNED)) refresh();
         }
@@ -291,15 +324,10 @@ function makeActions(page, store) {
       store.update({ running: null });
     },
 
-    /** @param {Partial<Shown>} patch */
+    /** Shows what someone has chosen. @param {Partial<Shown>} patch */
     show(patch) {
-      const shown = { ...store.state.shown, ...patch };
-      const steps = store.state.runs.get(shown.planner)?.length ?? 0;
-      if (patch.planner && patch.step === undefined) shown.step = steps;
-      shown.step = Math.min(Math.max(shown.step, 1), Math.max(steps, 1));
-      store.update({ shown });
-      viewing.abort(); // what is still being solved is of no interest any more
-      refresh();
+      chosen = true;
+      lookAt(patch);
     },
 
     /** @param {number} scale degrees */
@@ -328,6 +356,13 @@ function withError(runs, { name, steps, solver, mae }) {
   return new Map(runs).set(name, run);
 }
 
+/** Titles of what goes wrong with an object, and with a run and what is shown of it. */
+const OPENING = ["This object can't be opened"];
+const RUNNING = ["The run has failed", "This step can't be shown"];
+
+/** State without an object. */
+const NOTHING = /** @type {Partial<State>} */ ({ object: null, stack: null, view: null, insight: null, relit: null });
+
 /** What can be done when an object can't be opened. */
 const ADVICE = {
   files: "Expected is a DiLiGenT object: a folder (or a .zip of it) with filenames.txt, light_directions.txt, "
@@ -336,8 +371,8 @@ const ADVICE = {
   sculpture: "Choose another shape or material, or open the built-in object.",
 };
 
-/** @param {Report} report */
-function summary(report) {
+/** @param {Report} report @param {Catalogue | null} catalogue */
+function summary(report, catalogue) {
   const best = report.results.filter(row => row.mae !== null && !row.oracle).sort((a, b) => (a.mae ?? 0) - (b.mae ?? 0))[0];
-  return best ? `Done. Best: ${best.planner} with ${best.solver}, ${best.mae?.toFixed(2)} degrees.` : "Done.";
+  return best ? `Done. Best: ${label(catalogue, best.planner)} with ${solverLabel(best.solver)}, ${best.mae?.toFixed(2)} degrees.` : "Done.";
 }

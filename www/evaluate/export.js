@@ -6,44 +6,77 @@ import { download } from "../svg.js";
 /** @typedef {import("./evaluate.js").State} State */
 /** @typedef {import("../messages.js").Calls["export"]["body"]["what"]} What */
 
-/** @typedef {{ name: string, ready: (state: Readonly<State>) => boolean, save: (page: Page, state: Readonly<State>) => Promise<void> }} Export */
+/** @typedef {import("../store.js").Store<State>} Store */
+/** @typedef {{ name: string, ready: (state: Readonly<State>) => boolean, save: (page: Page, store: Store) => Promise<void> }} Export */
 
-const solved = (/** @type {Readonly<State>} */ state) => Boolean(state.view?.normals);
+/** Files that are the same whatever solves them. @type {What[]} */
+const UNSOLVED = ["lp", "image"];
 
 /** @type {Export[]} */
 export const EXPORTS = [
-  { name: "Table (CSV)", ready: state => state.report !== null, save: async (_, state) => download(new Blob([csv(state)], { type: "text/csv" }), `${base(state)}.csv`) },
-  { name: "Table (JSON, as coil eval writes it)", ready: state => state.report !== null, save: async (_, state) => download(new Blob([JSON.stringify(state.report, null, 2)], { type: "application/json" }), `${base(state)}.json`) },
-  { name: "Object (DiLiGenT, .zip)", ready: state => state.object !== null, save: (page, state) => saveFromWorker(page, state, "object") },
-  { name: "Lights of this run (.lp)", ready: state => state.view !== null, save: (page, state) => saveFromWorker(page, state, "lp") },
-  { name: "Normals (16-bit PNG)", ready: solved, save: (page, state) => saveFromWorker(page, state, "normals") },
-  { name: "Error map (PNG)", ready: state => Boolean(state.view?.errors), save: (page, state) => saveFromWorker(page, state, "errors") },
-  { name: "Predicted error map (PNG)", ready: state => Boolean(state.view?.expected), save: (page, state) => saveFromWorker(page, state, "expected") },
-  { name: "Picture (PNG)", ready: state => state.view !== null, save: (page, state) => saveFromWorker(page, state, "image") },
-  { name: "Surface (glTF)", ready: solved, save: (page, state) => saveFromWorker(page, state, "glb") },
-  { name: "Surface (OBJ)", ready: solved, save: (page, state) => saveFromWorker(page, state, "obj") },
-  { name: "Surface (PLY)", ready: solved, save: (page, state) => saveFromWorker(page, state, "ply") },
-  { name: "Relit picture (PNG)", ready: state => state.relit !== null, save: (page, state) => saveFromWorker(page, state, "relit") },
+  { name: "Table (CSV)", ready: state => state.report !== null, save: async (_, { state }) => download(new Blob([csv(state)], { type: "text/csv" }), `${base(state)}.csv`) },
+  { name: "Table (JSON, as coil eval writes it)", ready: state => state.report !== null, save: async (_, { state }) => download(new Blob([JSON.stringify(state.report, null, 2)], { type: "application/json" }), `${base(state)}.json`) },
+  { name: "Object (DiLiGenT, .zip)", ready: state => state.object !== null, save: (page, store) => saveFromWorker(page, store, "object") },
+  shown("Lights of this run (.lp)", "lp"),
+  shown("Normals (16-bit PNG)", "normals"),
+  shown("Error map (PNG)", "errors"),
+  shown("Predicted error map (PNG)", "expected"),
+  shown("Picture (PNG)", "image"),
+  shown("Surface (glTF)", "glb"),
+  shown("Surface (OBJ)", "obj"),
+  shown("Surface (PLY)", "ply"),
+  shown("Relit picture (PNG)", "relit"),
 ];
 
 /**
- * @param {Page} page
- * @param {Readonly<State>} state
+ * @param {string} name
  * @param {What} what
+ * @returns {Export}
  */
-async function saveFromWorker(page, state, what) {
-  const { bytes, type, name } = await page.engine.call("export", { what });
-  download(new Blob([bytes], { type }), `${base(state)}-${what === "object" ? "" : `${state.shown.planner}-${state.shown.step}-`}${name}`);
+function shown(name, what) {
+  return { name, ready: state => canSave(state, what), save: (page, store) => saveFromWorker(page, store, what) };
 }
 
 /**
- * The picture of a map.
- * @param {Page} page
+ * Whether this file of the step that is shown is there, and complete.
  * @param {Readonly<State>} state
- * @param {"image" | "normals" | "errors" | "expected" | "relit" | "surface"} what
+ * @param {What} what
  */
-export function savePicture(page, state, what) {
-  return saveFromWorker(page, state, what);
+export function canSave(state, what) {
+  const { view, relit } = state;
+  if (!view || !isCurrent(state)) return false;
+  if (UNSOLVED.includes(what)) return true;
+  const made = what === "errors" ? view.errors : what === "expected" ? view.expected : what === "relit" ? relit : view.normals;
+  return Boolean(made) && view.solved === 1;
+}
+
+/** Why a file can't be saved yet; empty where it is no matter of time. @param {Readonly<State>} state */
+export function waiting(state) {
+  if (!state.view) return "";
+  if (!isCurrent(state)) return "The step that was chosen is being solved: its files can be saved when it is shown.";
+  if (state.view.solved < 1) return `${(100 * state.view.solved).toFixed(0)} % solved: the maps can be saved when all of it is.`;
+  return "";
+}
+
+/** Whether the maps are those of the step that was chosen, not of the one before. @param {Readonly<State>} state */
+function isCurrent({ view, shown }) {
+  return view?.of === shown;
+}
+
+/**
+ * @param {Page} page
+ * @param {Store} store
+ * @param {What} what
+ */
+export async function saveFromWorker(page, store, what) {
+  const { state } = store;
+  const { bytes, type, name } = await page.engine.call("export", { what }).finally(() => {
+    const same = what === "object" ? store.state.object === state.object : store.state.view === state.view;
+    if (!same) throw new Error("something else is shown by now: save it once more");
+  });
+  const { planner = "", step = 0, solver = "" } = state.view?.of ?? {};
+  const made = what === "object" ? [] : [planner, step, ...(UNSOLVED.includes(what) ? [] : [solver])];
+  download(new Blob([bytes], { type }), [base(state), ...made, name].join("-").replaceAll(":", "_"));
 }
 
 /** @param {Readonly<State>} state */

@@ -1,10 +1,11 @@
 // What one step gives: the picture, the normals, their error, true and expected, the object under another light and as
 // a surface.
 
+import { isAbort } from "../engine.js";
 import { newestOnly } from "../store.js";
 import { draw, find, html, set } from "../svg.js";
 import { angles } from "../dome.js";
-import { savePicture } from "./export.js";
+import { canSave, saveFromWorker, waiting } from "./export.js";
 
 /** @typedef {import("./evaluate.js").Panel} Panel */
 /** @typedef {import("../messages.js").Picture} Picture */
@@ -61,7 +62,7 @@ export function mountMaps(root, { page, store, actions }) {
     const hint = html("p", { class: "empty" }, empty);
     const note = html("span", { class: "note number" });
     const save = html("button", { type: "button", class: "button small save", hidden: true, "aria-label": `Save ${title.toLowerCase()}` }, "Save PNG");
-    save.addEventListener("click", () => savePicture(page, store.state, id).catch(error => page.problem("The picture could not be saved", error)));
+    save.addEventListener("click", () => saveFromWorker(page, store, id).catch(error => page.problem("The picture could not be saved", error)));
     const element = html("figure", { class: `map map-${id}` }, html("div", { class: "frame" }, canvas, hint, save),
       html("figcaption", {}, html("b", {}, title), note));
     /**
@@ -76,6 +77,7 @@ export function mountMaps(root, { page, store, actions }) {
       canvas.setAttribute("aria-label", picture ? `${title}: ${text}` : `${title}: none yet`);
     };
     show(null, "");
+    store.watch(["view", "shown", "relit"], state => set(save, { disabled: !canSave(state, id === "surface" ? "glb" : id), title: waiting(state) || null }));
     if (["normals", "errors", "expected"].includes(id)) {
       canvas.addEventListener("pointermove", event => {
         const box = canvas.getBoundingClientRect();
@@ -132,25 +134,38 @@ export function mountMaps(root, { page, store, actions }) {
   integrate.addEventListener("click", () => {
     wanted = true;
     drawSurface();
-    surface.canvas.focus();
   });
   set(surface.canvas, { role: "application", tabindex: 0, "aria-roledescription": "turnable surface" });
+
+  /** Shows the surface, or the button that makes it; the focus goes from one to the other. @param {Picture | null} picture */
+  const showSurface = picture => {
+    const held = document.activeElement === integrate || document.activeElement === surface.canvas;
+    surface.show(picture, "drag or arrow keys turn it");
+    if (held) (picture ? surface.canvas : integrate).focus({ preventScroll: true });
+  };
 
   const drawSurface = newestOnly(async () => {
     const { view } = store.state;
     const whole = Boolean(view?.normals) && view?.solved === 1;
     integrate.hidden = !whole;
     hint.textContent = view?.normals ? "The normals, integrated" : "A surface needs normals";
-    if (!wanted || !whole) return surface.show(null, "");
-    integrate.hidden = true;
+    integrate.ariaDisabled = String(wanted && whole);
+    if (!wanted || !whole) return showSurface(null);
     hint.textContent = "Integrating the normals: seconds for large objects";
     const { signal } = integrating = new AbortController();
+    /** @type {Picture | null} */
+    let picture = null;
     try {
-      const picture = await page.engine.call("surface", { ...turn, size: SURFACE }, { signal, patience: 2000 });
-      if (!signal.aborted) surface.show(picture, "drag or arrow keys turn it");
+      picture = await page.engine.call("surface", { ...turn, size: SURFACE }, { signal, patience: 2000 });
     } catch (error) {
+      if (isAbort(error)) return; // the view that comes instead draws its own
       page.problem("The surface can't be shown", error);
     }
+    if (signal.aborted) return;
+    wanted = picture !== null;
+    integrate.ariaDisabled = "false";
+    hint.textContent = "The normals, integrated";
+    showSurface(picture);
   });
 
   const turnBy = (/** @type {number} */ yaw, /** @type {number} */ tilt) => {
@@ -174,7 +189,7 @@ export function mountMaps(root, { page, store, actions }) {
   });
   store.watch(["view"], () => {
     integrating.abort();
-    surface.show(null, "");
+    showSurface(null);
     drawSurface();
   });
   store.watch(["scale", "catalogue"], async ({ scale, catalogue }) => {

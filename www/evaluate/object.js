@@ -10,6 +10,12 @@ import { find, html } from "../svg.js";
 /** Objects that are a part of another, as people see them. @type {Record<string, string>} */
 const VARIANTS = { bear76: "bear76: without its bad first 20 images" };
 const MESH = /\.(obj|ply|stl)$/i;
+const ARCHIVE = /\.zip$/i;
+const PICTURE = /\.(png|jpe?g|tiff?|bmp|webp|gif|heic|avif|dng|cr[23]|nef|arw)$/i;
+/** Every object has one of these. */
+const LIST = /(^|\/)(filenames|light_directions|light_intensities)\.txt$/;
+const NEEDED = "Expected is a DiLiGenT object: a folder (or a .zip of it) with the images as PNG, filenames.txt, mask.png, "
+  + "and light_directions.txt, which says where the light was in each image.";
 
 /**
  * @param {HTMLElement} root
@@ -65,16 +71,24 @@ export function mountObject(root, { page, store, actions }) {
 
   /** @param {NamedFile[]} files */
   const openFiles = files => {
-    if (files.length === 1 && MESH.test(files[0].path)) openMesh(files[0].file);
-    else if (files.length) actions.open({ kind: "files", files, object: null });
+    const wrong = refusal(files);
+    if (wrong) page.problem("This object can't be opened", new Error(wrong), store.state.object ? `${NEEDED} The object shown stays.` : NEEDED);
+    else if (MESH.test(files[0].path) && files.length === 1) openMesh(files[0].file);
+    else actions.open({ kind: "files", files, object: null });
   };
   /** @param {File} file */
   const openMesh = file => actions.open({ kind: "mesh", file, material: material.value || BUILT_IN.material });
 
+  const cancel = find(root, ".cancel", HTMLElement);
+  /** What the focus goes back to when there is nothing to cancel any more. */
+  let opener = find(root, ".render", HTMLElement);
+  for (const button of root.querySelectorAll(".actions button")) {
+    button.addEventListener("click", () => { opener = /** @type {HTMLElement} */ (button); });
+  }
   find(root, ".render", HTMLElement).addEventListener("click", () => dialog.showModal());
   find(root, ".open-folder", HTMLElement).addEventListener("click", () => input("folder").click());
   find(root, ".open-file", HTMLElement).addEventListener("click", () => input("file").click());
-  find(root, ".cancel", HTMLElement).addEventListener("click", () => actions.cancelOpening());
+  cancel.addEventListener("click", () => actions.cancelOpening());
   find(root, ".own-mesh", HTMLElement).addEventListener("click", () => input("mesh").click());
   find(root, ".first", HTMLElement).addEventListener("click", () => {
     dialog.close("");
@@ -94,6 +108,7 @@ export function mountObject(root, { page, store, actions }) {
   }
   choice.addEventListener("change", () => {
     const { source } = store.state;
+    opener = choice;
     if (source.kind === "files") actions.open({ ...source, object: choice.value });
   });
 
@@ -106,7 +121,7 @@ export function mountObject(root, { page, store, actions }) {
     event.preventDefault();
     depth = 0;
     target(false);
-    if (!event.dataTransfer) return;
+    if (!event.dataTransfer?.types.includes("Files")) return;
     droppedFiles(event.dataTransfer).then(openFiles)
       .catch(error => page.problem("What was dropped can't be read", error));
   });
@@ -132,11 +147,32 @@ export function mountObject(root, { page, store, actions }) {
     among.hidden = object.objects.length < 2;
     choice.replaceChildren(...object.objects.map(name => html("option", { value: name, selected: name === object.name }, VARIANTS[name] ?? name)));
   });
-  store.watch(["opening"], ({ opening }) => {
+  store.watch(["object", "opening"], ({ object, opening, catalogue }) => {
+    const held = !opening && document.activeElement === cancel;
     progress.hidden = !opening;
+    if (held) opener.focus();
     root.setAttribute("aria-busy", String(Boolean(opening)));
-    if (!opening) return;
+    if (!object) {
+      title.textContent = opening || !catalogue ? "Opening…" : "No object is open";
+      for (const list of [facts, notes]) list.replaceChildren();
+      among.hidden = true;
+    }
+    if (!opening) {
+      choice.value = object?.name ?? "";
+      return;
+    }
     find(progress, "progress", HTMLProgressElement).value = opening.done / Math.max(1, opening.total);
     find(progress, ".what", HTMLElement).textContent = opening.total > 1 ? `${opening.what} ${opening.done} of ${opening.total}` : opening.what;
   });
+}
+
+/** Why these files can't be an object; null if they may be one. @param {NamedFile[]} files */
+function refusal(files) {
+  const count = (/** @type {RegExp} */ kind) => files.filter(({ path }) => kind.test(path)).length;
+  const [archives, meshes, pictures] = [ARCHIVE, MESH, PICTURE].map(count);
+  if (!files.length) return "There are no files in it.";
+  if (count(LIST) || files.length === 1 && archives + meshes === 1) return null;
+  if (archives + meshes) return `Open one archive or mesh at a time, and nothing beside it: these are ${files.length} files.`;
+  const what = pictures ? [pictures, "picture"] : [files.length, "file"];
+  return `${what[0]} ${what[1]}${what[0] === 1 ? "" : "s"}, but no light directions: light_directions.txt is missing.`;
 }

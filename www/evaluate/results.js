@@ -1,7 +1,7 @@
 // The table, and all that can be taken away.
 
 import { find, html } from "../svg.js";
-import { EXPORTS } from "./export.js";
+import { EXPORTS, waiting } from "./export.js";
 import { label, seriesColour, solverLabel, swatch } from "./series.js";
 
 /** @typedef {import("./evaluate.js").Panel} Panel */
@@ -17,13 +17,14 @@ const MOST_BESIDE_CHART = 2;
 export function mountResults(root, { page, store, actions }) {
   root.innerHTML = `
     <div class="head"><h2 id="results-title">Results</h2>
-      <details class="menu"><summary class="button small">Export</summary><div></div></details></div>
+      <details class="menu"><summary class="button small">Export</summary><div><p class="note" hidden></p></div></details></div>
     <div class="scroll" tabindex="0" role="region" aria-label="Table of results"></div>
     <p class="note" id="results-note"></p>`;
   const scroll = find(root, ".scroll", HTMLElement);
-  const note = find(root, ".note", HTMLElement);
+  const note = find(root, "#results-note", HTMLElement);
   const menu = find(root, ".menu", HTMLDetailsElement);
   const list = find(menu, "div", HTMLElement);
+  const wait = find(list, ".note", HTMLElement);
 
   for (const { name, ready, save } of EXPORTS) {
     const button = html("button", { type: "button" }, name);
@@ -31,15 +32,19 @@ export function mountResults(root, { page, store, actions }) {
       menu.open = false;
       find(menu, "summary", HTMLElement).focus();
       try {
-        await save(page, store.state);
+        await save(page, store);
         page.announce(`${name} was saved.`);
       } catch (error) {
         page.problem(`“${name}” could not be saved`, error);
       }
     });
-    store.watch(["object", "report", "view", "relit"], state => { button.disabled = !ready(state); });
+    store.watch(["object", "report", "view", "shown", "relit"], state => { button.disabled = !ready(state); });
     list.append(button);
   }
+  store.watch(["view", "shown"], state => {
+    wait.textContent = waiting(state);
+    wait.hidden = !wait.textContent;
+  });
   menu.addEventListener("keydown", event => {
     if (event.key !== "Escape" || !menu.open) return;
     menu.open = false;
@@ -49,7 +54,7 @@ export function mountResults(root, { page, store, actions }) {
     if (event.target instanceof Node && !menu.contains(event.target)) menu.open = false;
   });
 
-  store.watch(["rows", "shown", "ran", "running"], ({ rows, shown, ran, catalogue, running }) => {
+  store.watch(["rows", "shown", "ran", "running"], ({ rows, object, shown, ran, catalogue, running }) => {
     if (!rows.length) {
       note.textContent = "";
       scroll.replaceChildren(html("p", { class: "empty-note" }, running ? "Running…" : "No result yet: choose planners and press Run."));
@@ -66,7 +71,7 @@ export function mountResults(root, { page, store, actions }) {
       const [first] = group;
       const chosen = planner === shown.planner;
       const line = html("tr", { style: seriesColour(planner), class: [chosen && "chosen", first.error && "failed"].filter(Boolean).join(" ") || null });
-      const show = html("button", { type: "button", class: "link", "aria-pressed": String(chosen) }, swatch(planner), label(catalogue, planner));
+      const show = html("button", { type: "button", class: "link", "aria-pressed": String(chosen), "data-shows": planner }, swatch(planner), label(catalogue, planner));
       show.addEventListener("click", () => actions.show({ planner }));
       line.append(html("th", { scope: "row" }, show));
       if (group.every(row => row.error)) {
@@ -92,18 +97,26 @@ export function mountResults(root, { page, store, actions }) {
     function cell(row) {
       if (row.error) return html("td", {}, row.error);
       const pressed = row.planner === shown.planner && row.solver === shown.solver;
-      const half = row.ci95 ? (row.ci95[1] - row.ci95[0]) / 2 : 0;
-      const show = html("button", { type: "button", class: "link", "aria-pressed": String(pressed), "aria-label": `${degrees(row.mae)}, ${label(catalogue, row.planner)}, ${solverLabel(row.solver)}` }, degrees(row.mae));
+      const half = row.ci95 ? ((row.ci95[1] - row.ci95[0]) / 2).toFixed(2) : "0.00";
+      const show = html("button", { type: "button", class: "link", "aria-pressed": String(pressed), "data-shows": `${row.planner} ${row.solver}`, "aria-label": `${degrees(row.mae)}, ${label(catalogue, row.planner)}, ${solverLabel(row.solver)}` }, degrees(row.mae));
       show.addEventListener("click", () => actions.show({ planner: row.planner, solver: row.solver }));
-      return html("td", { class: mark(row) }, show, ...(half ? [html("small", {}, `±${half.toFixed(2)}`)] : []));
+      return html("td", { class: mark(row) }, show, ...(half === "0.00" ? [] : [html("small", {}, `±${half}`)]));
     }
 
-    const stop = ran?.stop_at ? ` Runs end where ${solverLabel(ran.solvers[0])} predicts at most ${ran.stop_at}°; T is the mean of what was taken.` : "";
     root.classList.toggle("wide", solvers.length > MOST_BESIDE_CHART);
-    const caption = ran ? `Mean angular error over ${ran.draws} ${ran.draws === 1 ? "run" : "runs"}, protocol ${ran.protocol}, look-up ${ran.lookups.join(", ")}, seed ${ran.seed}. ${solvers.length > 1 && ran.draws > 1 ? "± is half of the 95 % interval. " : ""}“Off by”: mean angle between the light asked for and the light used.${stop}` : "";
-    note.textContent = caption;
+    const known = rows.some(row => row.mae !== null);
+    const caption = ran ? [
+      `${known ? "Mean angular error over " : ""}${ran.draws} ${ran.draws === 1 ? "run" : "runs"}, protocol ${ran.protocol}, look-up ${ran.lookups.join(", ")}, seed ${ran.seed}.`,
+      object?.truth === false && "The error is unknown: this object has no true normals.",
+      known && solvers.length > 1 && ran.draws > 1 && "± is half of the 95 % interval.",
+      "“Off by”: mean angle between the light asked for and the light used.",
+      ran.stop_at && `Runs end where ${solverLabel(ran.solvers[0])} predicts at most ${ran.stop_at}°; T is the mean of what was taken.`,
+    ] : [];
+    note.textContent = caption.filter(Boolean).join(" ");
+    const held = scroll.contains(document.activeElement) ? document.activeElement?.getAttribute("data-shows") : null;
     scroll.replaceChildren(html("table", { "aria-labelledby": "results-title", "aria-describedby": "results-note" },
       html("thead", {}, html("tr", {}, ...head.map(text => html("th", { scope: "col" }, text)))), html("tbody", {}, ...body)));
+    if (held) [...scroll.querySelectorAll("button")].find(button => button.dataset.shows === held)?.focus({ preventScroll: true });
   });
 }
 
@@ -114,7 +127,8 @@ function degrees(mae) {
 
 /** @param {ResultRow} row */
 function interval(row) {
+  if (row.mae === null) return "unknown";
   if (!row.ci95) return "one run";
-  const [low, high] = row.ci95;
-  return low === high ? "exact" : `${low.toFixed(2)}–${high.toFixed(2)}°`;
+  const [low, high] = row.ci95.map(value => value.toFixed(2));
+  return low === high ? "exact" : `${low}–${high}°`;
 }

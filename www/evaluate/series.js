@@ -69,5 +69,6 @@ export function solverLabel(solver) {
  * @param {string} planner
  */
 export function label(catalogue, planner) {
-  return catalogue?.planners.find(p => p.name === planner)?.label ?? (planner === "all" ? "All lights" : planner);
+  const slant = planner.startsWith("ring:") ? `Ring, ${planner.slice(5)}°` : planner;
+  return catalogue?.planners.find(p => p.name === planner)?.label ?? (planner === "all" ? "All lights" : slant);
 }

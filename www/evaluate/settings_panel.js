@@ -2,7 +2,7 @@
 
 import { stopAt } from "../settings.js";
 import { find, html } from "../svg.js";
-import { solverLabel, swatch } from "./series.js";
+import { label, solverLabel, swatch } from "./series.js";
 
 /** @typedef {import("./evaluate.js").Panel} Panel */
 
@@ -30,6 +30,11 @@ export function mountSettings(root, { page, store, actions }) {
       <option value="nearest">nearest photo</option><option value="soft">soft blend of photos</option></select></div>
     <div class="field tau"><label for="tau">Width of the blend, τ in radians</label><input id="tau" type="number" min="0.001" max="10" step="any" value="0.02" required></div>
     <div class="field"><label for="seed">Seed</label><input id="seed" type="number" min="0" max="4294967295" step="1" required></div>`;
+  // On a narrow page the form comes after what it changes, for the keyboard as for the eye.
+  const narrow = matchMedia("(max-width: 719px)");
+  const settle = () => root.parentElement?.querySelector(narrow.matches ? "#maps" : "#object")?.after(root);
+  narrow.addEventListener("change", settle);
+  settle();
   const planners = find(root, ".planners .list", HTMLElement);
   const withheld = find(root, ".withheld", HTMLElement);
   const solvers = find(root, ".solvers .list", HTMLElement);
@@ -77,18 +82,17 @@ export function mountSettings(root, { page, store, actions }) {
     if (!catalogue) return;
     withheld.hidden = !catalogue.withheld;
     withheld.textContent = catalogue.withheld;
-    planners.replaceChildren(...catalogue.planners.map(({ name, label, about }) => {
-      const id = `planner-${name}`;
-      return html("div", { class: "choice" }, html("input", { type: "checkbox", id, value: name, "aria-describedby": `${id}-about` }),
-        swatch(name), html("label", { for: id, title: about }, label), html("small", { id: `${id}-about`, class: "hidden" }, about));
-    }));
+    planners.replaceChildren(...catalogue.planners.map(({ name, about }) => planner(name, catalogue, about)));
     solvers.replaceChildren(...catalogue.solvers.map(({ name, about }) => {
       const id = `solver-${name}`;
       return html("div", { class: "choice" }, html("input", { type: "checkbox", id, value: name, "aria-describedby": `${id}-about` }),
         html("label", { for: id, title: about }, solverLabel(name)), html("small", { id: `${id}-about`, class: "hidden" }, about));
     }));
   });
-  store.watch(["settings", "catalogue"], ({ settings }) => {
+  store.watch(["settings", "catalogue"], ({ settings, catalogue }) => {
+    const listed = [...planners.querySelectorAll("input")].map(input => input.value);
+    // A link may name planners that the catalogue does not: all, ring:DEGREES.
+    if (catalogue) planners.append(...settings.planners.filter(name => !listed.includes(name)).map(name => planner(name, catalogue, "")));
     for (const input of planners.querySelectorAll("input")) input.checked = settings.planners.includes(input.value);
     for (const input of solvers.querySelectorAll("input")) input.checked = settings.solvers.includes(input.value);
     number("lights").value = String(settings.lights[0]);
@@ -103,10 +107,24 @@ export function mountSettings(root, { page, store, actions }) {
   });
   store.watch(["running", "object"], ({ running, object }) => {
     run.disabled = !object;
+    const held = !running && document.activeElement === cancel;
     cancel.disabled = !running;
+    if (held) run.focus();
     progress.hidden = !running;
     if (!running) return;
     find(progress, "progress", HTMLProgressElement).value = running.done / Math.max(1, running.total);
     find(progress, ".what", HTMLElement).textContent = running.what ?? `${Math.floor(running.done)} of ${running.total} planners`;
   });
+}
+
+/**
+ * The choice of a planner.
+ * @param {string} name
+ * @param {import("../messages.js").Catalogue} catalogue
+ * @param {string} about
+ */
+function planner(name, catalogue, about) {
+  const id = `planner-${name}`;
+  return html("div", { class: "choice" }, html("input", { type: "checkbox", id, value: name, "aria-describedby": `${id}-about` }),
+    swatch(name), html("label", { for: id, title: about }, label(catalogue, name)), html("small", { id: `${id}-about`, class: "hidden" }, about));
 }

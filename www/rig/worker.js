@@ -4,6 +4,7 @@
 // camera frames and files.
 
 import * as core from "../pkg/core/coil_ps.js";
+import { told } from "../errors.js";
 import { LEARNED, loadFull } from "../learned.js";
 import { Port } from "./port.js";
 import { SimulatedPort } from "./simulated.js";
@@ -688,7 +689,6 @@ self.onmessage = async ({ data }) => {
     const buffer = value?.picture?.data ?? value?.data ?? (value instanceof ArrayBuffer ? value : null);
     self.postMessage({ id, type: "done", value }, { transfer: buffer ? [buffer] : [] });
   } catch (error) {
-    const { name, message } = error instanceof Error || error instanceof DOMException ? error : new Error(String(error));
-    self.postMessage({ id, type: "failed", error: { name, message } });
+    self.postMessage({ id, type: "failed", error: told(error) });
   }
 };

@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { execFile } from "node:child_process";
-import { cp, mkdtemp, readdir, readFile, rm, writeFile } from "node:fs/promises";
+import { cp, mkdir, mkdtemp, readdir, readFile, rm, writeFile } from "node:fs/promises";
 import { tmpdir } from "node:os";
 import { basename, join } from "node:path";
 import { after, before, test } from "node:test";
@@ -270,6 +270,33 @@ test("an object's folder, a zip and a folder of objects are opened where they ar
     await drop(page, [join(root, ".DS_Store")]);
     await page.locator("#problems .problem").waitFor();
     assert.match(await page.locator("#problems").innerText(), /Expected is a DiLiGenT object/);
+
+    // What is no object is named, and nothing happens to the one that is shown.
+    const photos = join(root, "photos");
+    await mkdir(photos);
+    /** @param {string[]} files @param {RegExp} said */
+    const refused = async (files, said) => {
+      await page.getByRole("button", { name: "Dismiss" }).click();
+      await drop(page, files);
+      await page.locator("#problems .said").waitFor();
+      assert.match(await page.locator("#problems .said").innerText(), said);
+      assert.match(await page.locator("#problems").innerText(), /The object shown stays/);
+    };
+    await refused([photos], /no files/);
+    for (const photo of ["a.JPG", "b.jpeg"]) await writeFile(join(photos, photo), "a photo");
+    await refused([photos], /^2 pictures, but no light directions/);
+    await refused([join(photos, "a.JPG")], /^1 picture, but no light directions/);
+    await refused([zip, zip], /^Open one archive or mesh at a time/);
+    assert.equal(await page.locator("#object-title").innerText(), "two");
+
+    // Without true normals there is no error, of however many runs.
+    await rm(join(root, "onePNG/Normal_gt.mat"), { force: true });
+    await rm(join(root, "onePNG/normal.txt"), { force: true });
+    await drop(page, [join(root, "onePNG")]);
+    await opened(page, "one");
+    await tableDone(page);
+    assert.deepEqual(await page.locator("#results tbody tr").first().locator("td").allInnerTexts().then(cells => cells.slice(1, 3)), ["unknown", "unknown"]);
+    assert.match(await page.locator("#results-note").innerText(), /^2 runs, [^.]*\. The error is unknown: this object has no true normals\./);
   });
 });
 

@@ -77,6 +77,7 @@ test("the page begins with an object, solved, without a file or a click", async 
     const learned = rows.length === names.length; // where its module was built
     assert.deepEqual(rows.map(row => row[0]), names.filter(name => learned || name !== "COIL-PS"));
     for (const row of rows) assert.match(row[2], /^\d+\.\d\d°$/);
+    assert.equal(rows.find(row => row[0].startsWith("Oracle"))?.[3], "exact", "its runs are all the same");
     assert.equal(await page.locator(".dome .light").count(), 10);
     assert.equal(await page.locator(".chart .series").count(), rows.length);
     const shown = learned ? "coil" : "dc05v";
@@ -306,6 +307,25 @@ test("what is exported is what is shown", async () => {
       const { bytes } = await save(map);
       assert.equal(bytes.subarray(1, 4).toString(), "PNG", map);
     }
+    // The view of another run is held back: until it comes the lights are those of the run before.
+    assert.equal(normals.name, "sphere-dc05v-6-ls-normals.png");
+    await page.evaluate(() => {
+      const post = Worker.prototype.postMessage;
+      Worker.prototype.postMessage = function (/** @type {any} */ message, /** @type {any} */ ...more) {
+        if (message.kind !== "view") return post.call(this, message, ...more);
+        Worker.prototype.postMessage = post;
+        addEventListener("release", () => post.call(this, message, ...more), { once: true });
+      };
+    });
+    await page.getByLabel("Planner shown").selectOption("random");
+    await page.waitForFunction(() => /is being solved/.test(document.querySelector("#results .menu .note")?.textContent ?? ""));
+    const lp = page.locator("#results .menu button", { hasText: "Lights of this run" });
+    assert.ok(await lp.isDisabled() && await page.locator(".map-normals .save").isDisabled());
+    await page.evaluate(() => dispatchEvent(new Event("release")));
+    await page.waitForFunction(() => !(/** @type {HTMLButtonElement} */ (document.querySelector(".map-normals .save")).disabled));
+    const random = await save("Lights of this run (.lp)");
+    assert.equal(random.name, "sphere-random-6-lights.lp");
+    assert.notEqual(random.bytes.toString().trim(), lights.join("\n"));
     const [drawing] = await Promise.all([page.waitForEvent("download"), page.locator("#dome .save").click()]);
     assert.match(await readFile(await drawing.path(), "utf8"), /^<svg [\s\S]*<image /);
   });
@@ -356,8 +376,9 @@ test("the learned solver runs in pieces, in several workers: the same to the bit
       return { same: both(tiles.solution()) === whole, again: both(again.solution()) === whole, levels, end, left: half.total - half.done, workers: navigator.hardwareConcurrency };
     });
     assert.ok(got.same, "pieces give what one call gives");
-    assert.equal(got.levels.length, 3);
-    assert.ok(got.levels[0] < 0.05, `the first preview rests on ${100 * got.levels[0]} % of the pixels`);
+    // Two levels may become complete at once, where a helper is kept waiting.
+    assert.ok(got.levels.length >= 2, `${got.levels}`);
+    assert.ok(got.levels[0] < 0.3, `the first preview rests on ${100 * got.levels[0]} % of the pixels`);
     assert.equal(got.end, "AbortError");
     assert.ok(got.left > 0, "it was cancelled in the middle");
     assert.ok(got.again, "the workers are good for the next");
@@ -369,7 +390,14 @@ test("the learned solver in the table and on the maps", async () => {
   await withPage(QUICK.replace("draws=2", "draws=1&solvers=ls,pixel"), async page => {
     await tableDone(page);
     for (const row of await table(page)) assert.ok(parseFloat(row[3]) < parseFloat(row[2]), `learned ${row[3]}, least squares ${row[2]}`);
-    await page.getByLabel("Solver shown").selectOption("pixel");
+    const early = await page.evaluate(async () => {
+      const solver = /** @type {HTMLSelectElement} */ (document.querySelector("#dome select.solver"));
+      solver.value = "pixel";
+      solver.dispatchEvent(new Event("change"));
+      for (let i = 0; i < 2; i += 1) await new Promise(requestAnimationFrame);
+      return !(/** @type {HTMLButtonElement} */ (document.querySelector(".map-normals .save")).disabled);
+    });
+    assert.ok(!early, "a part of the normals is not saved under the name of all");
     await page.waitForFunction(() => /^from 6 lights/.test(document.querySelector(".map-normals .note")?.textContent ?? ""));
     const [row] = (await table(page)).filter(cells => cells[0] === "DC05 ring + vertical");
     await page.waitForFunction(mae => document.querySelector(".map-errors .note")?.textContent === `mean ${mae}`, row[3]);
@@ -473,6 +501,15 @@ test("a narrow screen shows everything without scrolling sideways", async () => 
         const box = await page.locator(`#${id}`).boundingBox();
         assert.ok(box && box.x >= 0 && box.x + box.width <= width, `${id} at ${width} px`);
       }
+      const tops = await page.locator("#view-evaluate > *").evaluateAll(parts => parts.map(part => part.getBoundingClientRect().top));
+      if (width < 400) assert.deepEqual(tops, tops.toSorted((a, b) => a - b), "the keyboard goes from the top down");
+      const names = (await page.locator(".chart text").allTextContents()).join();
+      assert.match(names, /Random/);
+      assert.match(names, /DC05 ring\+v/);
+      if (width !== 360) return;
+      await page.getByRole("button", { name: "Camera’s view" }).tap();
+      await page.locator(".dome [data-candidate='80']").tap({ force: true });
+      assert.match(await page.locator(".dome-tip").innerText(), /81 of 100/);
     }, { viewport: { width, height: 780 }, isMobile: width < 400, hasTouch: width < 400 });
   }
 });
@@ -484,4 +521,153 @@ test("a worker that can't start is reported with what to do", async () => {
   await page.locator("#problems .problem").waitFor();
   assert.match(await page.locator("#problems").innerText(), /Reload the page/);
   await context.close();
+});
+
+test("a module that breaks in the middle of its work is said to be, and replaced", async () => {
+  const { page, context } = await openPage(browser);
+  await page.route("**/pkg/core/coil_ps.js", async route => {
+    const reply = await route.fetch();
+    const broken = `
+      const solve = Observations.prototype.solve;
+      Observations.prototype.solve = function (name) {
+        if (name === "sbr") throw new WebAssembly.RuntimeError("unreachable");
+        return solve.call(this, name);
+      };`;
+    await route.fulfill({ response: reply, body: await reply.text() + broken });
+  });
+  await page.goto(`${server.url}${QUICK.replace("draws=2", "draws=1&solvers=ls,trimmed,sbr")}`);
+  await tableDone(page);
+  await page.getByLabel("Solver shown").selectOption("sbr");
+  await page.locator("#problems .problem").waitFor();
+  assert.match(await page.locator("#problems").innerText(), /not enough memory for it, or coil-ps has a defect/);
+  const before = await page.locator(".map-normals .frame canvas").evaluate(c => /** @type {HTMLCanvasElement} */ (c).toDataURL());
+  await page.getByLabel("Solver shown").selectOption("trimmed");
+  await page.waitForFunction(old => /** @type {HTMLCanvasElement} */ (document.querySelector(".map-normals canvas")).toDataURL() !== old, before);
+  await context.close();
+});
+
+test("after Cancel the maps go on, and a wrong file gives an interrupted run back", async () => {
+  await withPage(LONG, async page => {
+    await page.waitForFunction(() => document.querySelectorAll(".strip button").length >= 5);
+    await page.locator("#settings .cancel").click();
+    await page.getByRole("button", { name: "Show in 3-D" }).click();
+    await page.waitForFunction(() => document.querySelector(".map-surface canvas")?.getAttribute("width") === "360");
+    await page.locator("#settings").evaluate(form => {
+      /** @type {HTMLInputElement} */ (form.querySelector("#draws")).value = "1";
+      form.dispatchEvent(new Event("change"));
+      /** @type {HTMLFormElement} */ (form).requestSubmit();
+    });
+    await page.locator("#settings .cancel:enabled").waitFor();
+    await page.evaluate(() => scrollTo(0, document.body.scrollHeight));
+    await page.setInputFiles("#object .file-input", { name: "broken.zip", mimeType: "application/zip", buffer: Buffer.from("not a zip") });
+    await page.locator("#problems .problem").waitFor();
+    const box = await page.locator("#problems .problem").boundingBox();
+    assert.ok(box && box.y >= 0 && box.y < 780, "the problem is in sight");
+    await tableDone(page);
+    assert.equal((await table(page)).length, 1);
+    await page.getByRole("button", { name: "Dismiss" }).click();
+    assert.equal(await page.evaluate(() => document.activeElement?.id), "content");
+  }, { viewport: { width: 380, height: 780 } });
+});
+
+test("what can't be fetched fails alone, with what to do, and comes with the next run", async () => {
+  const { page, context } = await openPage(browser);
+  const networks = /models\/(pixel\.onnx|compact)/;
+  await page.route(networks, route => route.abort());
+  await page.goto(`${server.url}${QUICK.replace("random,dc05v&", "dc05v,coil&solvers=ls,pixel&").replace("draws=2", "draws=1")}`);
+  await tableDone(page);
+  const [plain, ours] = await table(page);
+  assert.match(plain[2], /^\d+\.\d\d°$/);
+  assert.match(plain[3], /could not be fetched .* press Run again/);
+  assert.match(ours[1], /the network of coil could not be fetched .* press Run again/);
+  assert.ok(await isPainted(page, ".map-normals .frame canvas"), "another planner is shown");
+  assert.ok(await page.getByRole("button", { name: "Table (CSV)", includeHidden: true }).isEnabled());
+  await page.unroute(networks);
+  await page.locator("#settings").evaluate(form => /** @type {HTMLFormElement} */ (form).requestSubmit());
+  await page.waitForFunction(() => [...document.querySelectorAll("#results tbody tr")].filter(row => /°.*°/.test(row.textContent ?? "")).length === 2);
+  await context.close();
+});
+
+test("the focus stays where the work is", async () => {
+  await withPage(QUICK.replace("draws=2", "draws=1&solvers=ls,trimmed"), async page => {
+    await tableDone(page);
+    const focused = () => page.evaluate(() => document.activeElement?.getAttribute("data-shows") ?? document.activeElement?.getAttribute("aria-label") ?? document.activeElement?.textContent?.trim());
+    for (const shows of ["random trimmed", "dc05v"]) {
+      await page.locator(`#results button[data-shows='${shows}']`).press("Enter");
+      await page.locator(`#results button[data-shows='${shows}'][aria-pressed=true]`).waitFor();
+      assert.equal(await focused(), shows);
+    }
+
+    // The surface's first answer is nothing, as of a worker that has just been replaced: the button is there again.
+    await page.evaluate(() => {
+      const post = Worker.prototype.postMessage;
+      Worker.prototype.postMessage = function (/** @type {any} */ message, /** @type {any} */ ...more) {
+        if (message.kind !== "surface") return post.call(this, message, ...more);
+        Worker.prototype.postMessage = post;
+        this.dispatchEvent(new MessageEvent("message", { data: { id: message.id, type: "done", value: null } }));
+      };
+    });
+    const show = page.getByRole("button", { name: "Show in 3-D" });
+    await show.press("Enter");
+    await page.waitForFunction(() => document.querySelector(".map-surface .empty button")?.getAttribute("aria-disabled") === "false");
+    assert.equal(await page.locator(".map-surface .empty").innerText(), "The normals, integrated\nShow in 3-D");
+    assert.equal(await focused(), "Show in 3-D");
+    await show.press("Enter");
+    await page.locator(".map-surface canvas").waitFor();
+    assert.match(await focused() ?? "", /^Surface: drag or arrow keys/);
+
+    await page.locator("#lights").fill("20");
+    await page.locator("#draws").fill("1000");
+    await page.locator("#settings .primary").press("Enter");
+    await page.locator("#settings .cancel").press("Enter");
+    await page.locator("#settings .cancel:disabled").waitFor();
+    assert.equal(await focused(), "Run");
+
+    await page.locator("#object .render").press("Enter");
+    await page.locator("#family").selectOption("knot");
+    await page.getByRole("dialog").getByRole("button", { name: "Render" }).press("Enter");
+    await page.locator("#object .progress .cancel").press("Enter");
+    await page.locator("#object .progress").waitFor({ state: "hidden" });
+    assert.equal(await focused(), "Render an object…");
+  });
+});
+
+test("planners that only a link names can be kept and switched off; a garbled look-up is the default", async () => {
+  await withPage(QUICK.replace("random,dc05v", "all,ring:35,random").replace("draws=2", "draws=1&lookup=soft"), async page => {
+    await tableDone(page);
+    assert.equal(await page.locator("#lookup").inputValue(), "nearest");
+    const names = async () => (await table(page)).map(row => row[0]).sort();
+    /** @param {string} seed */
+    const rerun = async seed => {
+      await page.locator("#seed").fill(seed);
+      await page.locator("#settings .primary").click();
+      await page.getByText(`seed ${seed}.`).waitFor();
+      await tableDone(page);
+    };
+    assert.deepEqual(await names(), ["All lights", "Random", "Ring, 35°"]);
+    await rerun("2");
+    assert.deepEqual(await names(), ["All lights", "Random", "Ring, 35°"]);
+    await page.getByLabel("All lights").uncheck();
+    await page.getByLabel("Random", { exact: true }).uncheck();
+    await rerun("3");
+    assert.deepEqual(await names(), ["Ring, 35°"]);
+  });
+});
+
+test("an object that no run has pictures of yet stands in the dome itself, not the one before; without any the page says so", async () => {
+  await withPage(QUICK.replace("red-phenolic", "nonsense"), async page => {
+    await page.locator("#problems .problem").waitFor();
+    await page.waitForFunction(() => document.querySelector("#object-title")?.textContent === "No object is open");
+    assert.ok(await page.locator("#settings .primary").isDisabled());
+    await page.evaluate(hash => { location.hash = hash; }, QUICK);
+    await tableDone(page);
+    const picture = () => page.locator(".dome-object").evaluate(c => /** @type {HTMLCanvasElement} */ (c).toDataURL());
+    const sphere = await picture();
+    await page.evaluate(hash => { location.hash = hash; }, QUICK.replace("random,dc05v", "ring:x").replace("sphere:1", "bowl:1"));
+    await page.waitForFunction(() => document.querySelector("#object-title")?.textContent === "bowl");
+    await page.locator("#problems .problem").waitFor();
+    await page.waitForFunction(() => (document.querySelector(".dome-object")?.getAttribute("width") ?? "1") !== "1");
+    assert.ok(await picture() !== sphere, "the object before it is gone");
+    assert.ok(await isPainted(page, ".dome-object"));
+  });
 });
