@@ -48,7 +48,7 @@ pub fn all_said() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Makes sure that a file can be written later, as [`write`] will; `-` is standard output.
+/// Makes sure that a file can be written later, as [`write()`] will; `-` is standard output.
 pub fn check_file(path: &Path) -> anyhow::Result<()> {
     if path.as_os_str() == "-" {
         return Ok(());
