@@ -6,6 +6,9 @@ import { label, solverLabel, swatch } from "./series.js";
 
 /** @typedef {import("./evaluate.js").Panel} Panel */
 
+/** How long a button says that it has copied something. */
+const COPIED_MS = 2500;
+
 /**
  * @param {HTMLFormElement} root
  * @param {Panel} panel
@@ -69,13 +72,17 @@ export function mountSettings(root, { page, store, actions }) {
     if (read()) actions.run();
   });
   cancel.addEventListener("click", () => actions.cancel());
-  find(root, ".link", HTMLElement).addEventListener("click", async () => {
+  const link = find(root, ".link", HTMLElement);
+  link.addEventListener("click", async () => {
     try {
       await navigator.clipboard.writeText(location.href);
-      page.announce("The link to these settings was copied.");
     } catch {
-      page.problem("The link could not be copied", "The browser did not allow it.", "Copy it from the address bar: it always holds the settings.");
+      return page.problem("The link could not be copied", new Error("The browser did not allow it."), "Copy it from the address bar: it always holds the settings.");
     }
+    const whole = store.state.source.kind === "sculpture";
+    page.announce(whole ? "The link to these settings was copied." : "The link to these settings was copied. Your files are not in it.");
+    link.textContent = whole ? "Copied" : "Copied, without your files";
+    setTimeout(() => { link.textContent = "Copy link"; }, COPIED_MS);
   });
 
   store.watch(["catalogue"], ({ catalogue }) => {

@@ -230,6 +230,10 @@ test("a link holds the settings", async () => {
     await page.locator("#seed").fill("10");
     await page.locator("#seed").blur();
     await page.waitForURL(/seed=10/);
+    await page.context().grantPermissions(["clipboard-read", "clipboard-write"]);
+    await page.getByRole("button", { name: "Copy link" }).click();
+    await page.getByRole("button", { name: "Copied" }).waitFor();
+    assert.equal(await page.evaluate(() => navigator.clipboard.readText()), page.url());
     const link = page.url().replace("seed=10", "seed=9");
     await page.goto("about:blank");
     await page.goto(link);
