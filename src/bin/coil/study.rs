@@ -48,9 +48,9 @@ struct KArgs {
     /// Write the results as JSON to FILE (- or nothing: to standard output, instead of the table).
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "-")]
     json: Option<PathBuf>,
-    /// Write the plot as SVG to FILE.
-    #[arg(long, value_name = "FILE")]
-    plot: Option<PathBuf>,
+    /// Where to write the plot (SVG).
+    #[arg(long, value_name = "FILE", default_value = "study-k.svg")]
+    plot: PathBuf,
 }
 
 #[derive(Serialize)]
@@ -94,7 +94,7 @@ pub fn run(args: StudyArgs) -> anyhow::Result<ExitCode> {
     if let Some(k) = args.k.iter().find(|&&k| k < least) {
         bail!("--k {k}: less candidates than the {least} lights that are to be chosen");
     }
-    for path in args.json.iter().chain(&args.plot) {
+    for path in args.json.iter().chain([&args.plot]) {
         output::check_file(path)?;
     }
     let mut results = Vec::new();
@@ -134,9 +134,8 @@ pub fn run(args: StudyArgs) -> anyhow::Result<ExitCode> {
     if let Some(path) = &args.json {
         output::write_json(path, &report)?;
     }
-    if let Some(path) = &args.plot {
-        output::write(path, svg.as_bytes())?;
-    }
+    output::write(&args.plot, svg.as_bytes())?;
+    eprintln!("plot: {}", args.plot.display());
     Ok(ExitCode::from(u8::from(failed)))
 }
 

@@ -74,20 +74,18 @@ pub struct Args {
     /// Folder of a run whose best weights a new run begins with, or of a model (encoder.onnx, step.onnx).
     #[arg(long, conflicts_with = "resume")]
     from: Option<PathBuf>,
-    /// Folder of a run to go on with, by its own recipe; of one that has ended, its best and its last weights are compared
-    /// again.
-    #[arg(long, conflicts_with = "out")]
+    /// Folder of a run to go on with, by its own recipe, or to begin with the options given where there is none yet. Of one that
+    /// has ended, its best and its last weights are compared again.
+    #[arg(long, value_name = "DIR", conflicts_with = "out")]
     resume: Option<PathBuf>,
 }
 
 /// What makes the recipe of a new run. What is not given comes from the preset.
-#[derive(clap::Args)]
-// A run goes on by the recipe in its checkpoint: whoever asks for another one is told.
-#[group(conflicts_with = "resume")]
+#[derive(clap::Args, Default, PartialEq)]
 struct Choices {
-    /// Recipe to start from.
-    #[arg(long, value_enum, default_value = "compact")]
-    preset: Preset,
+    /// Recipe to start from; compact without it.
+    #[arg(long, value_enum)]
+    preset: Option<Preset>,
     /// Recipe of an earlier run (its recipe.json, perhaps changed) to start from instead of a preset.
     #[arg(long, value_name = "FILE", conflicts_with = "preset")]
     recipe: Option<PathBuf>,
@@ -189,18 +187,20 @@ struct Validation {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
-    let (dir, mut trainer) = match &args.resume {
-        Some(dir) => (dir.clone(), resume(dir)?),
-        None => {
-            let dir = args.out.clone().context("name a folder with --out")?;
-            if dir.join("checkpoint").exists() {
-                bail!("{} holds a run already: go on with --resume, or name another folder", dir.display());
-            }
-            let trainer = match &args.from {
-                None => Trainer::new(recipe(&args.choices)?).map_err(anyhow::Error::msg)?,
-                Some(from) => begin_from(from, recipe(&args.choices)?)?,
-            };
-            (dir, trainer)
+    let dir = args.resume.as_ref().or(args.out.as_ref()).context("name a folder with --out")?.clone();
+    let there = dir.join("checkpoint").exists();
+    if there && args.resume.is_none() {
+        bail!("{} holds a run already: go on with --resume, or name another folder", dir.display());
+    }
+    let mut trainer = if there || args.resume.is_some() && args.choices == Choices::default() {
+        let trainer = resume(&dir)?;
+        same_recipe(&trainer.recipe, &args.choices, &dir)?;
+        trainer
+    } else {
+        let recipe = recipe(&args.choices)?;
+        match &args.from {
+            None => Trainer::new(recipe).map_err(anyhow::Error::msg)?,
+            Some(from) => begin_from(from, recipe)?,
         }
     };
     fs::create_dir_all(&dir).with_context(|| format!("can't make the folder {}", dir.display()))?;
@@ -324,14 +324,46 @@ fn choose(
     Ok(ExitCode::SUCCESS)
 }
 
+/// The recipe of a new run.
 fn recipe(args: &Choices) -> anyhow::Result<Recipe> {
-    let mut r = match (&args.recipe, args.preset) {
+    let start = match (&args.recipe, args.preset) {
         (Some(file), _) => read_recipe(file)?,
-        (None, Preset::Compact) => Recipe::compact(),
-        (None, Preset::Paper) => Recipe::paper(),
+        (None, None | Some(Preset::Compact)) => Recipe::compact(),
+        (None, Some(Preset::Paper)) => Recipe::paper(),
     };
+    changed(start, args)
+}
+
+/// Refuses options that are not those of the run in `dir`: it goes on by its own recipe.
+fn same_recipe(of_run: &Recipe, args: &Choices, dir: &Path) -> anyhow::Result<()> {
+    let asked = if args.recipe.is_some() || args.preset.is_some() {
+        Recipe { from: of_run.from.clone(), ..recipe(args)? }
+    } else {
+        changed(of_run.clone(), args)?
+    };
+    let (asked, of_run) = (serde_json::to_value(&asked)?, serde_json::to_value(of_run)?);
+    let fields = of_run.as_object().into_iter().flatten();
+    let other: Vec<String> = fields
+        .filter(|&(name, value)| asked.get(name) != Some(value))
+        .map(|(name, value)| format!("{name} {value}"))
+        .collect();
+    if !other.is_empty() {
+        bail!(
+            "the run in {} goes on by its own recipe, with {}: leave that option out, or begin another run with --out",
+            dir.display(),
+            other.join(", ")
+        );
+    }
+    Ok(())
+}
+
+/// A recipe with what the options say otherwise.
+fn changed(mut r: Recipe, args: &Choices) -> anyhow::Result<Recipe> {
     if let Some(size) = &args.size {
-        r.config = Config::by_name(size)?;
+        let named = Config::by_name(size)?;
+        if named.size != r.config.size {
+            r.config = named;
+        }
     }
     if let Some(input) = args.input {
         r.config = r.config.seeing(input).map_err(anyhow::Error::msg)?;
