@@ -76,7 +76,26 @@ export async function saveFromWorker(page, store, what) {
   });
   const { planner = "", step = 0, solver = "" } = state.view?.of ?? {};
   const made = what === "object" ? [] : [planner, step, ...(UNSOLVED.includes(what) ? [] : [solver])];
-  download(new Blob([bytes], { type }), [base(state), ...made, name].join("-").replaceAll(":", "_"));
+  download(new Blob([bytes], { type }), fileName(state, ...made, name));
+}
+
+/**
+ * Saves what a canvas shows of a step.
+ * @param {Store} store
+ * @param {HTMLCanvasElement} canvas
+ * @param {string} name
+ */
+export async function saveCanvas({ state }, canvas, name) {
+  const { planner = "", step = 0 } = state.view?.of ?? {};
+  /** @type {Blob | null} */
+  const blob = await new Promise(resolve => canvas.toBlob(resolve));
+  if (!blob) throw new Error("the browser could not write it");
+  download(blob, fileName(state, planner, step, name));
+}
+
+/** @param {Readonly<State>} state @param {(string | number)[]} parts */
+function fileName(state, ...parts) {
+  return [base(state), ...parts].join("-").replaceAll(":", "_");
 }
 
 /** @param {Readonly<State>} state */

@@ -5,7 +5,7 @@ import { isAbort } from "../engine.js";
 import { newestOnly } from "../store.js";
 import { draw, find, html, set } from "../svg.js";
 import { angles } from "../dome.js";
-import { canSave, saveFromWorker, waiting } from "./export.js";
+import { canSave, saveCanvas, saveFromWorker, waiting } from "./export.js";
 
 /** @typedef {import("./evaluate.js").Panel} Panel */
 /** @typedef {import("../messages.js").Picture} Picture */
@@ -62,7 +62,11 @@ export function mountMaps(root, { page, store, actions }) {
     const hint = html("p", { class: "empty" }, empty);
     const note = html("span", { class: "note number" });
     const save = html("button", { type: "button", class: "button small save", hidden: true, "aria-label": `Save ${title.toLowerCase()}` }, "Save PNG");
-    save.addEventListener("click", () => saveFromWorker(page, store, id).catch(error => page.problem("The picture could not be saved", error)));
+    save.addEventListener("click", () => {
+      // The gate is only here.
+      const saved = canvas === image.canvas && taken.value === "gate" ? saveCanvas(store, canvas, "gate.png") : saveFromWorker(page, store, id);
+      saved.catch(error => page.problem("The picture could not be saved", error));
+    });
     const element = html("figure", { class: `map map-${id}` }, html("div", { class: "frame" }, canvas, hint, save),
       html("figcaption", {}, html("b", {}, title), note));
     /**

@@ -453,6 +453,8 @@ test("the learned planner runs in the page and shows its gate and its speed", as
     console.log(await page.locator(".thought").innerText());
     await page.getByLabel("Picture shown").selectOption("gate");
     assert.equal(await page.locator(".map-image .note").innerText(), "magenta: not trusted");
+    const [gate] = await Promise.all([page.waitForEvent("download"), page.locator(".map-image .save").evaluate(save => /** @type {HTMLElement} */ (save).click())]);
+    assert.equal(gate.suggestedFilename(), "sphere-coil-6-gate.png");
   });
 });
 
