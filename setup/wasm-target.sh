@@ -27,13 +27,37 @@ by_rustup() {
   RUSTUP_MAX_RETRIES=1 timeout "$RUSTUP_SECONDS" rustup target add $TARGET >&2 && has_target
 }
 
-# apt with package lists and downloads of its own: needs no root, changes nothing of the system's.
+# apt with package lists, sources and downloads of its own: needs no root, changes nothing of the system's.
 private_apt() {
-  local command=$1 work=$1; shift
-  work=$PART/apt
-  mkdir -p "$work/lists/partial" "$work/archives/partial"
+  local command=$1 work=$PART/apt; shift
+  mkdir -p "$work/lists/partial" "$work/archives/partial" "$work/sources"
   "$command" -o Dir::State::lists="$work/lists" -o Dir::Cache="$work" -o Dir::Cache::archives="$work/archives" \
-    -o APT::Sandbox::User="$(id -un)" -o Debug::NoLocking=1 -qq "$@"
+    -o Dir::Etc::sourceparts="$work/sources" -o APT::Sandbox::User="$(id -un)" -o Debug::NoLocking=1 -qq "$@"
+}
+
+fetch_lists() {
+  say "Debian: package lists (private copy$1)"
+  private_apt apt-get update >&2 || say 'apt-get update reported errors; trying all the same'
+}
+
+compiler_version() { private_apt apt-cache show --no-all-versions rustc-web 2>/dev/null | sed -n 's/^Version: //p'; }
+
+# Package lists that have a compiler new enough for us: Debian 12's security updates bring one; a
+# system that doesn't list them, or is a later Debian, gets them added, in the private copy alone.
+lists() {
+  local needed version security='deb [signed-by=/usr/share/keyrings/debian-archive-keyring.gpg] http://deb.debian.org/debian-security bookworm-security main'
+  needed=$(sed -n 's/^rust-version = "\(.*\)"/\1/p' "$(dirname "$0")/../Cargo.toml")
+  mkdir -p "$PART/apt/sources"
+  find /etc/apt/sources.list.d -type f -exec cp -t "$PART/apt/sources" {} + 2>/dev/null || true
+  fetch_lists ''
+  version=$(compiler_version)
+  if dpkg --compare-versions "${version:-0}" lt "$needed"; then
+    echo "$security" >"$PART/apt/sources/coil-ps-security.list"
+    fetch_lists ', with bookworm-security'
+    version=$(compiler_version)
+  fi
+  dpkg --compare-versions "${version:-0}" ge "$needed" ||
+    die "rustc-web is ${version:-not known} here and coil-ps needs $needed: reach rustup's servers (rustup target add $TARGET), or a mirror of Debian 12's security updates, as in: $security"
 }
 
 dependency() { # PACKAGE PATTERN: the first dependency of PACKAGE that matches
@@ -43,9 +67,7 @@ dependency() { # PACKAGE PATTERN: the first dependency of PACKAGE that matches
 
 # Debian's compiler in $PART/usr, with the system libraries that this machine lacks beside it.
 unpack() {
-  say 'Debian: package lists (private copy)'
-  private_apt apt-get update >&2 || say 'apt-get update reported errors; trying all the same'
-  private_apt apt-cache show rustc-web >/dev/null 2>&1 || die 'no package rustc-web here: the fallback needs Debian 12 with bookworm-security'
+  lists
   local std llvm lld deb
   std=$(dependency libstd-rust-web-dev libstd-rust-web-)
   llvm=$(dependency "$std" libllvm)
@@ -76,14 +98,16 @@ relocate() {
 
 # Compiles the standard library for the target, with bitcode (for LTO) like rustup's own.
 build_std() {
-  local crate=$PART/std lib=$PART/usr/lib/rustlib/$TARGET/lib vendor=$PART/usr/lib/rustlib/src/rust/library/vendor
+  local crate=$PART/std lib=$PART/usr/lib/rustlib/$TARGET/lib vendor=$PART/usr/lib/rustlib/src/rust/library/vendor source=()
+  # The crates that std is made of: those that Debian brings, else crates.io's, as std's lock file names them.
+  [ ! -d "$vendor" ] || source=(--config 'source.crates-io.replace-with="debian"' --config "source.debian.directory=\"$vendor\"")
   say "build std for $TARGET"
   mkdir -p "$crate/src" "$lib"
   : >"$crate/src/lib.rs"
   printf '[package]\nname = "stdbuild"\nversion = "0.0.0"\nedition = "2021"\n[workspace]\n[profile.release]\ndebug = 0\n' >"$crate/Cargo.toml"
   (cd "$crate" && env -u CARGO_TARGET_DIR -u CARGO_ENCODED_RUSTFLAGS RUSTC_BOOTSTRAP=1 RUSTC="$PART/usr/bin/rustc" \
     RUSTFLAGS=-Cembed-bitcode=yes "$1" build -q --release --target-dir target --target $TARGET \
-    --config 'source.crates-io.replace-with="debian"' --config "source.debian.directory=\"$vendor\"" \
+    ${source[@]+"${source[@]}"} \
     -Zbuild-std=std,panic_abort,panic_unwind,proc_macro,test >&2)
   cp "$crate/target/$TARGET"/release/deps/*.rlib "$lib/"
   rm -f "$lib"/libstdbuild-*.rlib
