@@ -57,11 +57,11 @@
  * @property {string[]} names of the images
  * @property {number} reach largest slant, degrees
  *
- * @typedef {{ name: string, step: StepInfo, mae: Record<string, number | null>, thumbnail: Picture }} RunStep
- * name: the planner; mae: degrees, by solver, null before three lights or without truth
+ * @typedef {{ name: string, step: StepInfo, errors: Record<string, number | null>, thumbnail: Picture }} RunStep
+ * name: the planner; errors: MAE in degrees, by solver, without truth what the solver expects it to be; null before three lights
  *
  * The error of a step that was solved after the run: by a solver that takes seconds.
- * @typedef {{ name: string, steps: number, solver: string, mae: number | null }} LateError
+ * @typedef {{ name: string, steps: number, solver: string, error: number | null }} LateError
  *
  * What is shown of one step of one run.
  * @typedef {object} StepView

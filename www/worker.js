@@ -151,7 +151,7 @@ const answers = {
     }
   },
 
-  /** Mean error of the learned solver on these pictures, when nothing else is to be solved; null where it is not known. */
+  /** Mean error of the learned solver on these pictures, when nothing else is to be solved; without truth what it expects. */
   async score({ asked, lookup }, { signal }) {
     const observations = needed(state.stack, "open an object first").observe(new Float32Array(asked.flat()), lookup);
     const tiles = observations.tiles();
@@ -159,9 +159,9 @@ const answers = {
     try {
       await helpers.solve(tiles, { signal, urgent: false });
       const solution = tiles.solution();
-      const { mae = null } = solution;
+      const error = meanError(solution);
       solution.free();
-      return mae;
+      return error;
     } finally {
       tiles.free();
     }
@@ -247,6 +247,11 @@ async function failure(fetching, signal) {
   }
 }
 
+/** The mean error, or without truth the one that is predicted. @param {import("./pkg/core/coil_ps.js").Solution} solution */
+function meanError({ mae, expectedError }) {
+  return mae ?? expectedError ?? null;
+}
+
 /**
  * A row, and after a planner's last one a row of the solver that is not there.
  * @param {import("./messages.js").ResultRow} row
@@ -255,7 +260,7 @@ async function failure(fetching, signal) {
  */
 function withFailed(row, solvers, error) {
   if (row.solver !== solvers.at(-1)) return [row];
-  return [row, { ...row, solver: IN_PIECES, mae: null, ci95: null, mae_as_published: null, maes: [], error }];
+  return [row, { ...row, solver: IN_PIECES, mae: null, ci95: null, mae_as_published: null, maes: [], predicted_mae: undefined, error }];
 }
 
 /**
@@ -302,21 +307,21 @@ async function compare(settings, before, whole, signal, progress) {
     for (let done = 0; done < total; done += 1) {
       const planner = evaluation.nextPlanner ?? "";
       let steps = 0;
-      evaluation.runNext(THUMBNAIL, (step, maes, small) => {
+      evaluation.runNext(THUMBNAIL, (step, found, small) => {
         const thumbnail = take(small);
         steps += 1;
-        const mae = Object.fromEntries(settings.solvers.map((name, i) => [name, maes[i]]));
-        progress({ ...at(done), step: { name: planner, step, mae, thumbnail }, row: [] }, [thumbnail.data]);
+        const errors = Object.fromEntries(settings.solvers.map((name, i) => [name, found[i]]));
+        progress({ ...at(done), step: { name: planner, step, errors, thumbnail }, row: [] }, [thumbnail.data]);
       });
       const tiles = evaluation.tiles();
       if (tiles) {
         try {
           await helpers.solve(tiles, { signal, urgent: false, onPiece: part => progress({ ...at(done + part), step: null, row: [] }) });
           const solution = tiles.solution();
-          const { mae = null } = solution;
+          const error = meanError(solution);
           evaluation.settle(solution);
           solution.free();
-          if (planner !== last) progress({ ...at(done), step: null, late: { name: planner, steps, solver: IN_PIECES, mae }, row: [] });
+          if (planner !== last) progress({ ...at(done), step: null, late: { name: planner, steps, solver: IN_PIECES, error }, row: [] });
         } finally {
           tiles.free();
         }

@@ -7,4 +7,4 @@ pub mod study;
 pub mod table;
 
 pub use protocol::Protocol;
-pub use table::{Report, Row, Run, RunSpec, Settings, Subject};
+pub use table::{Report, Row, Run, RunSpec, Score, Settings, Subject};

@@ -12,8 +12,8 @@ use crate::planner::oracle::ORACLE_CANDIDATES;
 use crate::planner::{self, Choice, Learned, PlanError, Setup};
 use crate::relight::Lookup;
 use crate::session::{Session, SessionError, Step};
-use crate::solve::uncertainty::StopAt;
-use crate::solve::{self, Measurements, UnknownSolver};
+use crate::solve::uncertainty::{self, StopAt};
+use crate::solve::{self, Measurements, Solution, SolveError, UnknownSolver};
 use crate::stack::{Mask, Stack};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
@@ -245,13 +245,47 @@ impl Subject<'_> {
     }
 }
 
+/// How far off the normals of a run are on average over the object, degrees: known, or else foreseen.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Score {
+    /// Mean angular error; `None` without ground truth.
+    pub mae: Option<f64>,
+    /// What the solver expects it to be ([`uncertainty::predicted_mae`]), where the truth is not known.
+    pub predicted: Option<f64>,
+}
+
+impl Score {
+    /// Judges what `solver` made of the pictures.
+    ///
+    /// # Errors
+    /// As [`uncertainty::complete`].
+    pub fn of(
+        solver: &str,
+        pictures: &Measurements,
+        mut solution: Solution,
+        truth: Option<&[Vec3]>,
+    ) -> Result<Self, SolveError> {
+        if let Some(truth) = truth {
+            return Ok(Self { mae: Some(error::mae(&solution.normals, truth)), predicted: None });
+        }
+        uncertainty::complete(solver, pictures, &mut solution)?;
+        Ok(Self { mae: None, predicted: uncertainty::predicted_mae(&solution).map(f64::from) })
+    }
+
+    /// The one or the other.
+    #[must_use]
+    pub fn degrees(&self) -> Option<f64> {
+        self.mae.or(self.predicted)
+    }
+}
+
 /// One run, made.
 #[derive(Clone, Debug)]
 pub struct Run {
     /// The pictures, in order.
     pub seen: Vec<Observation>,
-    /// MAE in degrees by solver, in the order of the settings; `None` without ground truth.
-    pub mae: Vec<Option<f64>>,
+    /// By solver, in the order of the settings.
+    pub scores: Vec<Score>,
 }
 
 impl Run {
@@ -307,13 +341,13 @@ pub fn run_watched(
 ) -> Result<Run, SessionError> {
     let seen =
         if spec.planner == ALL_LIGHTS { every_light(subject)? } else { plan(subject, spec, learned, watch)? };
-    let mut mae = Vec::with_capacity(solvers.len());
+    let pictures = Measurements::of(&seen);
+    let mut scores = Vec::with_capacity(solvers.len());
     for name in solvers {
-        let solver = solve::by_name(name).map_err(|e| solve::SolveError::Model(e.to_string()))?;
-        let solution = solver.solve(&Measurements::of(&seen))?;
-        mae.push(subject.truth().map(|truth| error::mae(&solution.normals, truth)));
+        let solver = solve::by_name(name).map_err(|e| SolveError::Model(e.to_string()))?;
+        scores.push(Score::of(name, &pictures, solver.solve(&pictures)?, subject.truth())?);
     }
-    Ok(Run { seen, mae })
+    Ok(Run { seen, scores })
 }
 
 /// Every image of a stack; of a scene as many pictures as the oracle has candidates.
@@ -404,6 +438,9 @@ pub struct Row {
     pub mae_as_published: Option<f64>,
     /// MAE of each draw, degrees.
     pub maes: Vec<f64>,
+    /// Mean over draws of what the solver expects its error to be, degrees, where the truth is not known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub predicted_mae: Option<f64>,
     /// How many stored photos a picture is made of on average; 1 for real ones.
     pub effective_images: Option<f64>,
     /// Mean angle between requested and used light, degrees.
@@ -431,6 +468,7 @@ impl Row {
             ci95: None,
             mae_as_published: None,
             maes: Vec::new(),
+            predicted_mae: None,
             effective_images: None,
             deviation: None,
             error: None,
@@ -517,7 +555,9 @@ fn summarise(
     }
     row.lights_taken =
         settings.stop_at.map(|_| mean(&done.iter().map(|r| r.seen.len() as f64).collect::<Vec<_>>()));
-    row.maes = done.iter().filter_map(|r| r.mae[solver_index]).collect();
+    row.maes = done.iter().filter_map(|r| r.scores[solver_index].mae).collect();
+    let predicted: Vec<f64> = done.iter().filter_map(|r| r.scores[solver_index].predicted).collect();
+    row.predicted_mae = (!predicted.is_empty()).then(|| mean(&predicted));
     if !row.maes.is_empty() {
         let m = mean(&row.maes);
         row.mae = Some(m);
@@ -700,6 +740,22 @@ mod tests {
         assert!(rows[1].error.is_none());
         let report = Report::new(s, rows);
         assert!(report.has_errors() && report.means.is_empty());
+    }
+
+    #[test]
+    fn without_truth_the_error_is_foreseen() {
+        let mut s = settings();
+        (s.planners, s.solvers, s.lights) =
+            (vec!["random".into()], vec!["ls".into(), "sbr".into()], vec![10]);
+        let known = table(&stack(), &s);
+        assert!(known.iter().all(|r| r.mae.is_some() && r.predicted_mae.is_none()));
+        let rows = table(&Stack { truth: None, ..stack() }, &s);
+        assert!(rows.iter().all(|r| r.mae.is_none() && r.maes.is_empty() && r.ci95.is_none()), "{rows:?}");
+        for (row, known) in rows.iter().zip(&known) {
+            let off = row.predicted_mae.unwrap() - known.mae.unwrap();
+            assert!(off.abs() < 6.0, "{}: {off}", row.solver);
+        }
+        assert!(Report::new(s, rows).means.is_empty());
     }
 
     #[test]

@@ -4,8 +4,7 @@ use super::stack::{Prepared, Solution, Stack};
 use super::tiles::Tiles;
 use super::{fail, plain};
 use crate::camera::Observation;
-use crate::error;
-use crate::eval::{Report, Run, RunSpec, Settings, Subject, table};
+use crate::eval::{Report, Run, RunSpec, Score, Settings, Subject, table};
 use crate::planner::{Learned, PLANNERS};
 use crate::session::SessionError;
 use crate::solve::{self, Measurements, SOLVERS, pixel};
@@ -100,16 +99,16 @@ impl Evaluation {
         self.specs.get(self.runs.len()).map(|s| s.planner.clone())
     }
 
-    /// Makes the next run. In the first run of every planner, `onStep(step, maes, thumbnail)` is called after every
-    /// picture: MAE in degrees by solver (null before three lights or without truth), and the picture with sides of
-    /// at most `size` pixels. A run that fails is a row with an error. The solver `pixel` takes seconds: `tiles` and
+    /// Makes the next run. In the first run of every planner, `onStep(step, errors, thumbnail)` is called after every
+    /// picture: MAE in degrees by solver (without truth what the solver expects it to be; null before three lights),
+    /// and the picture with sides of at most `size` pixels. A run that fails is a row with an error. The solver `pixel` takes seconds: `tiles` and
     /// `settle` are for it.
     #[wasm_bindgen(js_name = runNext)]
     pub fn run_next(
         &mut self,
         size: u32,
         #[wasm_bindgen(
-            unchecked_param_type = "(step: StepInfo, maes: (number | null)[], thumbnail: Picture) => void"
+            unchecked_param_type = "(step: StepInfo, errors: (number | null)[], thumbnail: Picture) => void"
         )]
         on_step: &js_sys::Function,
     ) -> Result<(), JsError> {
@@ -143,7 +142,7 @@ impl Evaluation {
         self.open = None;
         let run = run.map(|mut run| {
             if let Some(place) = in_pieces {
-                run.mae.insert(place, None);
+                run.scores.insert(place, Score::default());
                 let seen = run
                     .seen
                     .iter()
@@ -170,7 +169,7 @@ impl Evaluation {
         self.open = None;
         let place = self.settings.solvers.iter().position(|name| name == pixel::NAME);
         if let (Some(place), Some((_, Ok(run)))) = (place, self.runs.last_mut()) {
-            run.mae[place] = solution.mae();
+            run.scores[place] = solution.score();
         }
     }
 
@@ -198,21 +197,21 @@ fn report_step(
         name: o.index.map(|k| of.stack.names[k].clone()),
         effective: o.effective_images,
     };
-    let maes: Vec<Option<f64>> = settings
+    let errors: Vec<Option<f64>> = settings
         .solvers
         .iter()
         .map(|name| {
             if name == pixel::NAME {
                 return None;
             }
-            let truth = of.stack.truth.as_ref()?;
+            let pictures = Measurements::of(seen);
             // Less than three lights, or lights in one plane: no normals yet.
-            let solution = solve::by_name(name).ok()?.solve(&Measurements::of(seen)).ok()?;
-            Some(error::mae(&solution.normals, truth))
+            let solution = solve::by_name(name).ok()?.solve(&pictures).ok()?;
+            Score::of(name, &pictures, solution, of.stack.truth.as_deref()).ok()?.degrees()
         })
         .collect();
     on_step
-        .call3(&JsValue::NULL, &plain(&info)?, &plain(&maes)?, &of.photo(o, size).into())
+        .call3(&JsValue::NULL, &plain(&info)?, &plain(&errors)?, &of.photo(o, size).into())
         .map_err(|_| fail("onStep has thrown an error"))?;
     Ok(())
 }

@@ -118,6 +118,7 @@ export interface ResultRow {
   ci95: [number, number] | null;
   mae_as_published: number | null;
   maes: number[];
+  predicted_mae?: number;
   effective_images: number | null;
   deviation: number | null;
   error?: string;

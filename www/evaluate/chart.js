@@ -2,7 +2,7 @@
 
 import { download, find, html, set, svg } from "../svg.js";
 import { copyStyles } from "../dome.js";
-import { dash, label, marker, seriesColour, solverLabel } from "./series.js";
+import { dash, errorText, label, marker, seriesColour, solverLabel } from "./series.js";
 
 /** @typedef {import("./evaluate.js").Panel} Panel */
 /** @typedef {import("./evaluate.js").State} State */
@@ -23,6 +23,7 @@ export function mountChart(root, { store, actions }) {
     <div class="head"><h2 id="chart-title">Error against lights</h2><button type="button" class="button small save" disabled>Save SVG</button></div>
     <div class="chart"></div>
     <p class="note"></p>`;
+  const title = find(root, "h2", HTMLElement);
   const host = find(root, ".chart", HTMLElement);
   const note = find(root, ".note", HTMLElement);
   const save = find(root, ".save", HTMLButtonElement);
@@ -39,15 +40,17 @@ export function mountChart(root, { store, actions }) {
   const redraw = () => {
     const { state } = store;
     const series = seriesOf(state);
+    const known = state.object?.truth !== false;
+    title.textContent = known ? "Error against lights" : "Predicted error against lights";
     save.disabled = !series.length;
     if (!series.length) {
-      host.replaceChildren(html("p", { class: "empty-note" }, state.object && !state.object.truth ? "This object has no true normals, so its error is not known." : "The curves appear while the planners run."));
+      host.replaceChildren(html("p", { class: "empty-note" }, "The curves appear while the planners run."));
       note.textContent = "";
       return;
     }
-    host.replaceChildren(plot(series, Math.max(280, host.clientWidth), state, actions));
+    host.replaceChildren(plot(series, Math.max(280, host.clientWidth), state, known, actions));
     const missing = state.runs.size && !state.running && series.some(({ planner, points }) => points.length < (state.runs.get(planner)?.length ?? 0) - FIRST);
-    note.textContent = `${missing ? "The curves are being completed. " : ""}First draw of each planner, ${solverLabel(state.shown.solver).toLowerCase()}. Lower is better; the oracle sees the truth.`;
+    note.textContent = `${missing ? "The curves are being completed. " : ""}First draw of each planner, ${solverLabel(state.shown.solver).toLowerCase()}. ${known ? "Lower is better; the oracle sees the truth." : "What the solver itself expects, as this object has no true normals: planners that differ by little may truly be the other way round."}`;
   };
   store.watch(["runs", "shown", "object"], redraw);
   let width = 0;
@@ -58,7 +61,7 @@ export function mountChart(root, { store, actions }) {
   }).observe(host);
 }
 
-/** @typedef {{ planner: string, points: { t: number, mae: number }[] }} Series */
+/** @typedef {{ planner: string, points: { t: number, error: number }[] }} Series */
 
 /**
  * @param {Readonly<State>} state
@@ -66,9 +69,9 @@ export function mountChart(root, { store, actions }) {
  */
 function seriesOf({ runs, shown, ran }) {
   return (ran?.planners ?? []).filter(planner => planner !== "all").flatMap(planner => {
-    const points = (runs.get(planner) ?? []).flatMap(({ mae }, i) => {
-      const value = mae[shown.solver];
-      return typeof value === "number" ? [{ t: i + 1, mae: value }] : [];
+    const points = (runs.get(planner) ?? []).flatMap(({ errors }, i) => {
+      const error = errors[shown.solver];
+      return typeof error === "number" ? [{ t: i + 1, error }] : [];
     });
     return points.length ? [{ planner, points }] : [];
   });
@@ -78,11 +81,12 @@ function seriesOf({ runs, shown, ran }) {
  * @param {Series[]} series
  * @param {number} width
  * @param {Readonly<State>} state
+ * @param {boolean} known whether there are true normals
  * @param {Panel["actions"]} actions
  */
-function plot(series, width, { shown, catalogue, ran }, actions) {
+function plot(series, width, { shown, catalogue, ran }, known, actions) {
   const last = Math.max(ran?.lights[0] ?? FIRST, FIRST + 1);
-  const values = series.flatMap(({ points }) => points.map(p => p.mae));
+  const values = series.flatMap(({ points }) => points.map(p => p.error));
   const ticks = niceTicks(Math.min(...values), Math.max(...values));
   const [low, high] = [ticks[0], ticks[ticks.length - 1]];
   const narrow = width < 460;
@@ -90,7 +94,7 @@ function plot(series, width, { shown, catalogue, ran }, actions) {
   const x = (/** @type {number} */ t) => MARGIN.left + (width - MARGIN.left - right) * (t - FIRST) / (last - FIRST);
   const y = (/** @type {number} */ v) => HEIGHT - MARGIN.bottom - (HEIGHT - MARGIN.top - MARGIN.bottom) * (v - low) / (high - low);
   const height = HEIGHT + (narrow ? 10 + LEGEND_LINE * Math.ceil(series.length / 2) : 0);
-  const drawing = svg("svg", { viewBox: `0 0 ${width} ${height}`, height, role: "img", "aria-label": spoken(series, catalogue) });
+  const drawing = svg("svg", { viewBox: `0 0 ${width} ${height}`, height, role: "img", "aria-label": spoken(series, known, catalogue) });
   for (const tick of ticks) {
     drawing.append(
       svg("line", { class: "axis-line", x1: MARGIN.left, x2: width - right, y1: y(tick), y2: y(tick) }),
@@ -109,24 +113,24 @@ function plot(series, width, { shown, catalogue, ran }, actions) {
   const order = [...series].sort((a, b) => Number(a.planner === shown.planner) - Number(b.planner === shown.planner));
   for (const { planner, points } of order) {
     const group = svg("g", { style: seriesColour(planner) });
-    const d = points.map(({ t, mae }, i) => `${i ? "L" : "M"}${x(t).toFixed(1)} ${y(mae).toFixed(1)}`).join("");
+    const d = points.map(({ t, error }, i) => `${i ? "L" : "M"}${x(t).toFixed(1)} ${y(error).toFixed(1)}`).join("");
     group.append(svg("path", { class: `series${planner === shown.planner ? " shown" : ""}`, d, "stroke-dasharray": dash(planner) }));
     if (last - FIRST <= 30) {
-      for (const { t, mae } of points) {
+      for (const { t, error } of points) {
         const solid = planner === shown.planner && t === shown.step;
-        group.append(marker(planner, x(t), y(mae), solid ? 5 : 3.4, `dot${solid ? " solid" : ""}`));
+        group.append(marker(planner, x(t), y(error), solid ? 5 : 3.4, `dot${solid ? " solid" : ""}`));
       }
     }
     drawing.append(group);
   }
   // Names at the ends of the curves, moved apart where they would overlap.
-  const ends = series.map(({ planner, points }) => ({ planner, end: points[points.length - 1], at: y(points[points.length - 1].mae) }))
+  const ends = series.map(({ planner, points }) => ({ planner, end: points[points.length - 1], at: y(points[points.length - 1].error) }))
     .sort((a, b) => a.at - b.at);
   ends.forEach((end, i) => { if (i) end.at = Math.max(end.at, ends[i - 1].at + 15); });
   const overflow = Math.max(0, (ends[ends.length - 1]?.at ?? 0) - (HEIGHT - MARGIN.bottom));
   for (const { planner, end, at } of ends) {
     const text = svg("text", { class: "end", style: seriesColour(planner), x: width - right + 10, y: at - overflow + 4 },
-      `${end.mae.toFixed(2)}°${narrow ? "" : ` ${shortLabel(label(catalogue, planner))}`}`);
+      `${errorText(end.error, known)}${narrow ? "" : ` ${shortLabel(label(catalogue, planner))}`}`);
     drawing.append(text);
   }
   if (narrow) {
@@ -167,12 +171,13 @@ function niceTicks(low, high) {
 
 /**
  * @param {Series[]} series
+ * @param {boolean} known
  * @param {State["catalogue"]} catalogue
  */
-function spoken(series, catalogue) {
+function spoken(series, known, catalogue) {
   const ends = series.map(({ planner, points }) => {
     const end = points[points.length - 1];
-    return `${label(catalogue, planner)} ${end.mae.toFixed(2)}° with ${end.t}`;
+    return `${label(catalogue, planner)} ${errorText(end.error, known)} with ${end.t}`;
   });
-  return `Mean angular error against the number of lights. ${ends.join("; ")}. The numbers are in the table.`;
+  return `${known ? "Mean" : "Predicted mean"} angular error against the number of lights. ${ends.join("; ")}. The numbers are in the table.`;
 }

@@ -3,7 +3,7 @@
 import { angles, Dome } from "../dome.js";
 import { newestOnly } from "../store.js";
 import { download, draw, find, html, set } from "../svg.js";
-import { label, seriesColour, solverLabel } from "./series.js";
+import { errorText, label, seriesColour, solverLabel } from "./series.js";
 
 /** @typedef {import("./evaluate.js").Panel} Panel */
 /** @typedef {import("../messages.js").Direction} Direction */
@@ -143,7 +143,7 @@ export function mountDome(root, { page, store, actions }) {
     const found = catalogue?.planners.find(p => p.name === shown.planner);
     about.textContent = found ? `${found.label}: ${found.about}.` : "";
   });
-  store.watch(["runs", "shown"], ({ runs, shown, sun }) => {
+  store.watch(["runs", "shown"], ({ runs, shown, sun, object }) => {
     planner.value = shown.planner;
     solver.value = shown.solver;
     root.setAttribute("style", seriesColour(shown.planner));
@@ -156,7 +156,7 @@ export function mountDome(root, { page, store, actions }) {
     drawStrip(steps, shown.step);
     const now = steps[shown.step - 1];
     output.textContent = now ? `Step ${shown.step} of ${steps.length}` : "No run yet";
-    caption.replaceChildren(...(now ? describe(now, shown.solver, shown.step) : []));
+    caption.replaceChildren(...(now ? describe(now, shown.solver, object?.truth !== false, shown.step) : []));
     scrub.setAttribute("aria-valuetext", now ? caption.textContent ?? "" : "no run yet");
   });
   store.watch(["insight"], ({ insight }) => {
@@ -203,8 +203,8 @@ export function mountDome(root, { page, store, actions }) {
         drawn.set(item, step.thumbnail);
         draw(find(item, "canvas", HTMLCanvasElement), step.thumbnail);
       }
-      const mae = step.mae[store.state.shown.solver];
-      const text = typeof mae === "number" ? `${mae.toFixed(1)}°` : `${i + 1}`;
+      const error = step.errors[store.state.shown.solver];
+      const text = typeof error === "number" ? errorText(error, store.state.object?.truth !== false, 1) : `${i + 1}`;
       find(item, "span", HTMLElement).textContent = text;
       set(button, {
         "aria-label": `${text}, light ${i + 1}: ${spoken(step.step.used)}${step.step.name ? `, image ${step.step.name}` : ""}`,
@@ -227,16 +227,17 @@ function spoken(direction) {
 /**
  * @param {import("../messages.js").RunStep} taken
  * @param {string} solver
+ * @param {boolean} known whether there are true normals
  * @param {number} count lights so far
  * @returns {(Node | string)[]}
  */
-function describe({ step, mae }, solver, count) {
+function describe({ step, errors }, solver, known, count) {
   const parts = [html("b", {}, spoken(step.used)), step.name ? `, image ${step.name}` : ""];
   if (step.effective > 1.01) parts.push(`, blended from ${step.effective.toFixed(1)} photos`);
   if (step.deviation > 0.05) parts.push(`; asked for ${spoken(step.requested)}, ${step.deviation.toFixed(1)}° away`);
   parts.push(". ");
-  const error = mae[solver];
-  if (typeof error === "number") parts.push(html("b", {}, `Mean error ${error.toFixed(2)}°.`));
+  const error = errors[solver];
+  if (typeof error === "number") parts.push(html("b", {}, `${known ? "Mean error" : "Predicted mean error"} ${errorText(error, known)}.`));
   else if (count < 3) parts.push("A normal needs three lights.");
   return parts;
 }

@@ -174,11 +174,11 @@ function makeActions(page, store) {
       for (const name of names) {
         const run = store.state.runs.get(name) ?? [];
         for (let steps = run.length; steps >= 3; steps -= 1) {
-          if (typeof run[steps - 1].mae[SLOW] === "number") continue;
+          if (typeof run[steps - 1].errors[SLOW] === "number") continue;
           const asked = run.slice(0, steps).map(taken => taken.step.requested);
-          const mae = await engine.call("score", { asked, lookup: settings.lookups[0] }, { signal, patience: VIEW_PATIENCE_MS });
+          const error = await engine.call("score", { asked, lookup: settings.lookups[0] }, { signal, patience: VIEW_PATIENCE_MS });
           if (signal.aborted) return;
-          store.update({ runs: withError(store.state.runs, { name, steps, solver: SLOW, mae }) });
+          store.update({ runs: withError(store.state.runs, { name, steps, solver: SLOW, error }) });
         }
       }
     } catch (error) {
@@ -303,7 +303,7 @@ function makeActions(page, store) {
         const report = { ...made, settings, results: made.results.toSorted((a, b) => place(a) - place(b)) };
         store.update({ report, rows: report.results });
         page.announce(summary(report, store.state.catalogue));
-        if (store.state.object?.truth && settings.solvers.includes(SLOW)) complete(settings, signal);
+        if (settings.solvers.includes(SLOW)) complete(settings, signal);
       } catch (error) {
         if (isAbort(error) && running.signal === signal) page.announce("The run was cancelled.");
         page.problem(RUNNING[0], error);
@@ -351,8 +351,8 @@ function makeActions(page, store) {
  * @param {State["runs"]} runs
  * @param {import("../messages.js").LateError} late
  */
-function withError(runs, { name, steps, solver, mae }) {
-  const run = (runs.get(name) ?? []).map((step, i) => i + 1 === steps ? { ...step, mae: { ...step.mae, [solver]: mae } } : step);
+function withError(runs, { name, steps, solver, error }) {
+  const run = (runs.get(name) ?? []).map((step, i) => i + 1 === steps ? { ...step, errors: { ...step.errors, [solver]: error } } : step);
   return new Map(runs).set(name, run);
 }
 

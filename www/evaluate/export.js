@@ -105,7 +105,7 @@ function base({ object }) {
 
 /** The report's rows with the columns of `coil eval --json`. @param {Readonly<State>} state */
 function csv({ report }) {
-  const columns = /** @type {const} */ (["object", "bits", "protocol", "lookup", "planner", "oracle", "solver", "lights", "lights_taken", "draws", "seed", "mae", "ci95_low", "ci95_high", "mae_as_published", "effective_images", "deviation", "error"]);
+  const columns = /** @type {const} */ (["object", "bits", "protocol", "lookup", "planner", "oracle", "solver", "lights", "lights_taken", "draws", "seed", "mae", "ci95_low", "ci95_high", "mae_as_published", "predicted_mae", "effective_images", "deviation", "error"]);
   const cell = (/** @type {unknown} */ value) => {
     const text = value === null || value === undefined ? "" : String(value);
     return /[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;

@@ -2,7 +2,7 @@
 
 import { find, html } from "../svg.js";
 import { EXPORTS, waiting } from "./export.js";
-import { label, seriesColour, solverLabel, swatch } from "./series.js";
+import { errorText, label, seriesColour, solverLabel, swatch } from "./series.js";
 
 /** @typedef {import("./evaluate.js").Panel} Panel */
 /** @typedef {import("../messages.js").ResultRow} ResultRow */
@@ -65,7 +65,9 @@ export function mountResults(root, { page, store, actions }) {
     const blended = rows.some(row => (row.effective_images ?? 1) > 1.01);
     const fair = rows.filter(row => !row.oracle && row.planner !== "all");
     const best = Math.min(...fair.flatMap(row => row.mae ?? []));
-    const head = ["Planner", "T", ...(solvers.length > 1 ? solvers.map(solverLabel) : ["MAE", "95 % interval"]), ...(blended ? ["Photos"] : []), "Off by"];
+    const known = object?.truth !== false;
+    const single = known ? ["MAE", "95 % interval"] : ["Predicted MAE"];
+    const head = ["Planner", "T", ...(solvers.length > 1 ? solvers.map(solverLabel) : single), ...(blended ? ["Photos"] : []), "Off by"];
     const planners = Map.groupBy([...rows].sort((a, b) => place(a) - place(b)), row => row.planner);
     const body = [...planners].map(([planner, group]) => {
       const [first] = group;
@@ -80,7 +82,7 @@ export function mountResults(root, { page, store, actions }) {
       }
       line.append(html("td", {}, first.lights_taken === undefined ? String(first.lights) : first.lights_taken.toFixed(1)));
       if (solvers.length > 1) for (const row of group) line.append(cell(row));
-      else line.append(html("td", { class: mark(first) }, degrees(first.mae)), html("td", {}, interval(first)));
+      else line.append(html("td", { class: mark(first) }, degrees(first)), ...(known ? [html("td", {}, interval(first))] : []));
       line.append(
         ...(blended ? [html("td", {}, first.effective_images?.toFixed(1) ?? "")] : []),
         html("td", {}, first.deviation === null ? "" : `${first.deviation.toFixed(1)}°`),
@@ -98,16 +100,15 @@ export function mountResults(root, { page, store, actions }) {
       if (row.error) return html("td", {}, row.error);
       const pressed = row.planner === shown.planner && row.solver === shown.solver;
       const half = row.ci95 ? ((row.ci95[1] - row.ci95[0]) / 2).toFixed(2) : "0.00";
-      const show = html("button", { type: "button", class: "link", "aria-pressed": String(pressed), "data-shows": `${row.planner} ${row.solver}`, "aria-label": `${degrees(row.mae)}, ${label(catalogue, row.planner)}, ${solverLabel(row.solver)}` }, degrees(row.mae));
+      const show = html("button", { type: "button", class: "link", "aria-pressed": String(pressed), "data-shows": `${row.planner} ${row.solver}`, "aria-label": `${degrees(row)}, ${label(catalogue, row.planner)}, ${solverLabel(row.solver)}` }, degrees(row));
       show.addEventListener("click", () => actions.show({ planner: row.planner, solver: row.solver }));
       return html("td", { class: mark(row) }, show, ...(half === "0.00" ? [] : [html("small", {}, `±${half}`)]));
     }
 
     root.classList.toggle("wide", solvers.length > MOST_BESIDE_CHART);
-    const known = rows.some(row => row.mae !== null);
     const caption = ran ? [
-      `${known ? "Mean angular error over " : ""}${ran.draws} ${ran.draws === 1 ? "run" : "runs"}, protocol ${ran.protocol}, look-up ${ran.lookups.join(", ")}, seed ${ran.seed}.`,
-      object?.truth === false && "The error is unknown: this object has no true normals.",
+      `${known ? "Mean" : "Predicted mean"} angular error over ${ran.draws} ${ran.draws === 1 ? "run" : "runs"}, protocol ${ran.protocol}, look-up ${ran.lookups.join(", ")}, seed ${ran.seed}.`,
+      !known && "This object has no true normals: shown is what each solver expects its own error to be.",
       known && solvers.length > 1 && ran.draws > 1 && "± is half of the 95 % interval.",
       "“Off by”: mean angle between the light asked for and the light used.",
       ran.stop_at && `Runs end where ${solverLabel(ran.solvers[0])} predicts at most ${ran.stop_at}°; T is the mean of what was taken.`,
@@ -120,9 +121,10 @@ export function mountResults(root, { page, store, actions }) {
   });
 }
 
-/** @param {number | null} mae */
-function degrees(mae) {
-  return mae === null ? "unknown" : `${mae.toFixed(2)}°`;
+/** @param {ResultRow} row */
+function degrees({ mae, predicted_mae }) {
+  const error = mae ?? predicted_mae;
+  return error === undefined ? "unknown" : errorText(error, mae !== null);
 }
 
 /** @param {ResultRow} row */

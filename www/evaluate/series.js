@@ -63,6 +63,11 @@ export function solverLabel(solver) {
   return SOLVERS[solver] ?? solver;
 }
 
+/** A mean error for people; one that is only predicted says so, and no more than is known. @param {number} degrees @param {boolean} known */
+export function errorText(degrees, known, digits = 2) {
+  return known ? `${degrees.toFixed(digits)}°` : `≈ ${degrees.toFixed(1)}°`;
+}
+
 /**
  * The name of a planner for people.
  * @param {import("../messages.js").Catalogue | null} catalogue

@@ -289,14 +289,18 @@ test("an object's folder, a zip and a folder of objects are opened where they ar
     await refused([zip, zip], /^Open one archive or mesh at a time/);
     assert.equal(await page.locator("#object-title").innerText(), "two");
 
-    // Without true normals there is no error, of however many runs.
+    // Without true normals it is what the solver expects of itself, and says so wherever it is seen.
     await rm(join(root, "onePNG/Normal_gt.mat"), { force: true });
     await rm(join(root, "onePNG/normal.txt"), { force: true });
     await drop(page, [join(root, "onePNG")]);
     await opened(page, "one");
     await tableDone(page);
-    assert.deepEqual(await page.locator("#results tbody tr").first().locator("td").allInnerTexts().then(cells => cells.slice(1, 3)), ["unknown", "unknown"]);
-    assert.match(await page.locator("#results-note").innerText(), /^2 runs, [^.]*\. The error is unknown: this object has no true normals\./);
+    assert.deepEqual(await page.locator("#results thead th").allInnerTexts(), ["Planner", "T", "Predicted MAE", "Off by"]);
+    assert.match(await page.locator("#results tbody tr").first().locator("td").nth(1).innerText(), /^≈ \d+\.\d°$/);
+    assert.match(await page.locator("#results-note").innerText(), /^Predicted mean angular error over 2 runs, .* This object has no true normals: /);
+    assert.equal(await page.locator("#chart-title").innerText(), "Predicted error against lights");
+    assert.match(await page.locator(".chart .end").first().textContent() ?? "", /^≈ \d+\.\d° /);
+    assert.match(await page.locator(".caption").innerText(), /Predicted mean error ≈ \d+\.\d°\./);
   });
 });
 

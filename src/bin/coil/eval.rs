@@ -184,6 +184,9 @@ fn text_table(report: &Report) -> String {
         if rows.iter().any(|r| r.oracle) {
             text += "* sees the ground truth: an upper bound, not a planner\n";
         }
+        if rows.iter().any(|r| r.predicted_mae.is_some()) {
+            text += "† no true normals: the error that the solver expects\n";
+        }
         text.push('\n');
     }
     text
@@ -204,7 +207,7 @@ fn bits_of(rows: &[&Row], object: &str) -> String {
 fn cell(row: &Row) -> String {
     match (row.mae, row.ci95) {
         _ if row.error.is_some() => "error".into(),
-        (None, _) => "no truth".into(),
+        (None, _) => row.predicted_mae.map_or("no truth".into(), |m| format!("≈ {m:.1} †")),
         (Some(m), Some([lo, hi])) if hi > lo => format!("{m:.2} ±{:.2}", (hi - lo) / 2.0),
         (Some(m), _) => format!("{m:.2}"),
     }
