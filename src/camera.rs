@@ -49,6 +49,8 @@ pub struct Observation {
     pub grey: Vec<f32>,
     /// Linear RGB of every mask pixel; empty where the camera has no colour.
     pub rgb: Vec<[f32; 3]>,
+    /// Which mask pixels are saturated in the picture; empty where none is.
+    pub saturated: Vec<bool>,
     /// How many stored photos the picture is made of, exp(entropy of the weights); 1 for a real one.
     pub effective_images: f32,
     /// Number of the stored photo, where it is a single one.

@@ -76,6 +76,9 @@ pub fn soft_weights(direction: Vec3, lights: &[Vec3], tau: f32) -> Weights {
     Weights { terms, effective_images: libm::expf(entropy) }
 }
 
+/// Part of a blended value that may come from saturated photos before it counts as saturated.
+const SATURATED_SHARE: f32 = 0.01;
+
 /// A stack of photos as a camera.
 #[derive(Clone, Copy, Debug)]
 pub struct StackCamera<'a> {
@@ -96,6 +99,7 @@ impl<'a> StackCamera<'a> {
             light: self.stack.lights[k],
             grey: self.stack.grey[k].clone(),
             rgb: self.stack.rgb[k].clone(),
+            saturated: self.stack.saturated[k].clone(),
             effective_images: 1.0,
             index: Some(k),
         }
@@ -120,7 +124,23 @@ impl<'a> StackCamera<'a> {
             [(k, _)] => Some(k),
             _ => None,
         };
-        Observation { requested, light: l, grey, rgb, effective_images: weights.effective_images, index }
+        let saturated = self.saturated(&weights.terms);
+        let effective_images = weights.effective_images;
+        Observation { requested, light: l, grey, rgb, saturated, effective_images, index }
+    }
+
+    /// Which pixels are saturated in more than [`SATURATED_SHARE`] of a blend.
+    fn saturated(&self, terms: &[(usize, f32)]) -> Vec<bool> {
+        if terms.iter().all(|&(k, _)| self.stack.saturated[k].is_empty()) {
+            return Vec::new();
+        }
+        let mut share = vec![0.0; self.stack.mask.len()];
+        for &(k, w) in terms {
+            for (s, &flag) in share.iter_mut().zip(&self.stack.saturated[k]) {
+                *s += w * f32::from(flag);
+            }
+        }
+        share.into_iter().map(|s| s > SATURATED_SHARE).collect()
     }
 }
 
@@ -162,11 +182,23 @@ mod tests {
             bits: BitDepth::Sixteen,
             grey: lights.iter().map(|&l| shade(l)).collect(),
             rgb: lights.iter().map(|&l| shade(l).into_iter().map(|v| [v; 3]).collect()).collect(),
+            saturated: vec![Vec::new(); count],
             names: (0..count).map(|k| k.to_string()).collect(),
             lights,
             truth: Some(normals.clone()),
         };
         (stack, normals)
+    }
+
+    #[test]
+    fn a_blend_of_saturated_photos_is_saturated() {
+        let (mut stack, _) = lambert(20);
+        stack.saturated[7] = (0..16).map(|p| p == 3).collect();
+        let soft = StackCamera::new(&stack, Lookup::Soft { tau: 0.05 });
+        let near = soft.capture(stack.lights[7], &[]).unwrap();
+        assert_eq!(near.saturated, stack.saturated[7]);
+        let far = soft.capture(stack.lights[19], &[]).unwrap();
+        assert!(!far.saturated.contains(&true));
     }
 
     #[test]

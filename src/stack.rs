@@ -235,12 +235,20 @@ pub struct Stack {
     pub grey: Vec<Vec<f32>>,
     /// Linear RGB of every mask pixel, for each image.
     pub rgb: Vec<Vec<[f32; 3]>>,
+    /// Which mask pixels are saturated, for each image; an empty list for an image where none is.
+    pub saturated: Vec<Vec<bool>>,
     /// Unit direction towards the light of each image.
     pub lights: Vec<Vec3>,
     /// File name of each image.
     pub names: Vec<String>,
     /// True unit normals of the mask pixels; a zero vector where unknown.
     pub truth: Option<Vec<Vec3>>,
+}
+
+/// Flags of an image's pixels, an empty list where none is set.
+pub(crate) fn flags(set: impl Iterator<Item = bool>) -> Vec<bool> {
+    let flags: Vec<bool> = set.collect();
+    if flags.contains(&true) { flags } else { Vec::new() }
 }
 
 impl Stack {

@@ -63,6 +63,7 @@ impl Camera for Cap {
             light: direction,
             rgb: grey.iter().map(|&v| [v; 3]).collect(),
             grey,
+            saturated: Vec::new(),
             effective_images: 1.0,
             index: None,
         })

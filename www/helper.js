@@ -19,7 +19,7 @@ self.onmessage = async ({ data }) => {
       loadPixelNetwork(data.bytes);
       reply({ kind: "done", id, bits: 0, result: new ArrayBuffer(0) });
     } else if (data.kind === "piece") {
-      const { buffer } = solvePiece(data.solver, data.lights, data.values, data.count);
+      const { buffer } = solvePiece(data.solver, data.lights, data.values, data.saturated, data.count);
       reply({ kind: "done", id, bits: 0, result: /** @type {ArrayBuffer} */ (buffer) });
     } else if (data.kind === "normals") {
       const { buffer } = integrateNormals(data.mask, data.width, data.height, data.normals);

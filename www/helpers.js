@@ -96,10 +96,10 @@ export class Helpers {
       const piece = tiles.next(PIECE);
       if (!piece) return null;
       const id = ++this.#lastId;
-      const { first, count, values } = piece;
+      const { first, count, values, saturated } = piece;
       piece.free();
       firsts.set(id, first);
-      return { message: { kind: "piece", id, solver: "pixel", lights, values, count }, transfer: [values.buffer] };
+      return { message: { kind: "piece", id, solver: "pixel", lights, values, saturated, count }, transfer: [values.buffer, saturated.buffer] };
     }, ({ id, result }) => {
       tiles.put(firsts.get(id), new Float32Array(result));
       const { done, levels } = tiles;

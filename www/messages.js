@@ -119,14 +119,14 @@
 
 /**
  * To a helper: the compiled module first; then for each object its mask (a byte a pixel) and its images; the learned
- * solver's network and then pieces (light directions, three numbers each; grey values, image after image); normals to
+ * solver's network and then pieces (light directions, three numbers each; grey values, image after image, and 1 for each that is saturated, nothing where none is); normals to
  * integrate.
  * @typedef {{ kind: "module", module: WebAssembly.Module }
  *   | { kind: "object", mask: Uint8Array, width: number, height: number }
  *   | { kind: "image", id: number, bytes: File | ArrayBuffer, name: string }
  *   | { kind: "network", id: number, bytes: Uint8Array }
  *   | { kind: "normals", id: number, mask: Uint8Array, width: number, height: number, normals: Float32Array }
- *   | { kind: "piece", id: number, solver: string, lights: Float32Array, values: Float32Array, count: number }} HelperRequest
+ *   | { kind: "piece", id: number, solver: string, lights: Float32Array, values: Float32Array, saturated: Uint8Array, count: number }} HelperRequest
  *
  * From a helper: of an image RGB code values of the mask pixels, 16 bit each; of a piece what `solvePiece` returns;
  * of normals the heights.

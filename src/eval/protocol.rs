@@ -3,7 +3,7 @@
 //! *Official* is DiLiGenT's own (Shi et al. 2016): full resolution, whole mask. *128* is the one on which the papers
 //! on illumination planning report: a square crop at 128×128, scaled to the 99 % quantile, through 8-bit gamma code.
 
-use crate::stack::{BitDepth, Mask, RawStack, Stack, StackError};
+use crate::stack::{BitDepth, Mask, RawStack, Stack, StackError, flags};
 use glam::Vec3;
 
 /// How code values become linear values.
@@ -111,11 +111,16 @@ fn official(raw: &RawStack) -> Stack {
         .map(|(image, gain)| image.iter().map(|px| [0, 1, 2].map(|c| linear(px[c]) / gain[c])).collect())
         .collect();
     let grey = rgb.iter().map(|i| i.iter().map(|&px| luma(px).clamp(0.0, 1.0)).collect()).collect();
+    let cut = |(image, linear): (&Vec<[u16; 3]>, &Vec<[f32; 3]>)| {
+        let at_limit = |(px, &v): (&[u16; 3], &[f32; 3])| px.contains(&raw.bits.max()) || luma(v) > 1.0;
+        flags(image.iter().zip(linear).map(at_limit))
+    };
     Stack {
         name: raw.name.clone(),
         mask: raw.mask.clone(),
         bits: raw.bits,
         grey,
+        saturated: raw.images.iter().zip(&rgb).map(cut).collect(),
         rgb,
         lights: raw.lights.iter().map(|l| l.normalize()).collect(),
         names: raw.names.clone(),
@@ -191,6 +196,21 @@ fn p128(raw: &RawStack) -> Result<Stack, StackError> {
     let pick = |image: &Vec<[f32; 3]>| mask.gather(image);
     let rgb: Vec<Vec<[f32; 3]>> = images.iter().map(pick).collect();
     let grey = rgb.iter().map(|i| i.iter().map(|px| (px[0] + px[1] + px[2]) / 3.0).collect()).collect();
+    // A cell is saturated where one of the pixels that it is made of is, or was cut off at the quantile.
+    let limit = raw.bits.max();
+    let saturated = (0..raw.images.len())
+        .map(|k| {
+            let cut = raw.images[k].iter().zip(scaled(k));
+            let cut = cut.map(|(px, v)| px.contains(&limit) || v.iter().any(|&v| v > bright));
+            let cut = flags(cut);
+            if cut.is_empty() {
+                return cut;
+            }
+            let square_of = square.lay(&raw.mask, cut.iter().map(|&c| [f32::from(c)]));
+            let cells = halve(&bilinear(&square_of, square.side, 2 * SIDE));
+            flags(mask.gather(&cells).into_iter().map(|[share]| share > 0.0))
+        })
+        .collect();
     let truth = raw
         .truth
         .as_ref()
@@ -200,6 +220,7 @@ fn p128(raw: &RawStack) -> Result<Stack, StackError> {
         bits: raw.bits,
         grey,
         rgb,
+        saturated,
         lights: raw.lights.iter().map(|l| l.normalize()).collect(),
         names: raw.names.clone(),
         truth,
@@ -306,6 +327,21 @@ mod tests {
         assert_eq!((stack.mask.width(), stack.mask.len()), (128, 126 * 126));
         assert!((stack.grey[0][0] - 1.0).abs() < 1e-6);
         assert!((stack.grey[1][0] - 0.5).abs() < 0.01); // within a step of the 8-bit gamma code
+    }
+
+    #[test]
+    fn what_the_sensor_cut_off_is_flagged() {
+        let mut some = raw(200, 1000);
+        some.images[1][200 * 100 + 60] = [1000, 65535, 1000];
+        let official = Protocol::Official.apply(&some).unwrap();
+        assert!(official.saturated[0].is_empty());
+        let at: Vec<usize> = (0..official.mask.len()).filter(|&p| official.saturated[1][p]).collect();
+        assert_eq!(at, [200 * 100 + 60]);
+        let p128 = Protocol::P128.apply(&some).unwrap();
+        assert!(p128.saturated[0].is_empty());
+        let cells: Vec<(u32, u32)> =
+            (0..p128.mask.len()).filter(|&p| p128.saturated[1][p]).map(|p| p128.mask.position(p)).collect();
+        assert!(cells.contains(&(38, 64)) && cells.len() <= 4, "{cells:?}");
     }
 
     #[test]

@@ -299,7 +299,7 @@ impl Run {
     /// Drops the pictures' values and keeps directions and numbers: thousands of runs would not fit into memory.
     pub fn forget_pixels(&mut self) {
         for o in &mut self.seen {
-            (o.grey, o.rgb) = (Vec::new(), Vec::new());
+            (o.grey, o.rgb, o.saturated) = (Vec::new(), Vec::new(), Vec::new());
         }
     }
 
@@ -359,6 +359,7 @@ fn every_light(subject: &Subject) -> Result<Vec<Observation>, SessionError> {
                 light: stack.lights[k],
                 grey: stack.grey[k].clone(),
                 rgb: Vec::new(),
+                saturated: stack.saturated[k].clone(),
                 effective_images: 1.0,
                 index: Some(k),
             })
@@ -682,6 +683,7 @@ mod tests {
             bits: BitDepth::Sixteen,
             grey: lights.iter().map(shade).collect(),
             rgb: lights.iter().map(|l| shade(l).into_iter().map(|v| [v; 3]).collect()).collect(),
+            saturated: vec![Vec::new(); 40],
             names: (1..=40).map(|k| format!("{k:03}.png")).collect(),
             lights,
             truth: Some(normals),

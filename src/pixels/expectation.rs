@@ -106,10 +106,10 @@ fn rendered(
         let some: Vec<u32> = (0..PIXELS).map(|_| rng.below(truth.len()) as u32).collect();
         let images = pictures(&camera, &lights)?;
         let images = images.iter().map(Vec::as_slice).collect();
-        let whole = Measurements { lights, images, saturation: None };
+        let whole = Measurements { lights, images, saturated: Vec::new() };
         let images = Piece::of(&whole, &some).images;
         let normals = some.iter().map(|&p| truth[p as usize]).collect();
-        out.push(Pixels { lights: whole.lights, images, normals, saturation: None });
+        out.push(Pixels { lights: whole.lights, images, normals, saturated: Vec::new() });
     }
     Ok(out)
 }
@@ -294,7 +294,7 @@ pub fn checks(
             .map(|&(_, name)| {
                 let lights = planned(&camera, name, 10, FRAC_PI_2, number as u64, learned)?;
                 let images = pictures(&camera, &lights)?;
-                Ok(Pixels { lights, images, normals: scene.truth().to_vec(), saturation: None })
+                Ok(Pixels { lights, images, normals: scene.truth().to_vec(), saturated: Vec::new() })
             })
             .collect::<Result<Vec<_>, String>>()
     });

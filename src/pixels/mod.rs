@@ -35,8 +35,8 @@ pub struct Pixels {
     pub images: Vec<Vec<f32>>,
     /// True normals.
     pub normals: Vec<Vec3>,
-    /// Value at which the sensor is saturated.
-    pub saturation: Option<f32>,
+    /// For each light which pixels are saturated; empty where the sensor has no limit.
+    pub saturated: Vec<Vec<bool>>,
 }
 
 /// One patch of surface of up to two materials.
@@ -168,7 +168,8 @@ impl Generator {
                 image[p] = v;
             }
         }
-        Pixels { lights, images, normals, saturation: Some(1.0) }
+        let saturated = images.iter().map(|i| i.iter().map(|&v| v >= 1.0).collect()).collect();
+        Pixels { lights, images, normals, saturated }
     }
 
     /// One pixel's true normal, and its value under each light.

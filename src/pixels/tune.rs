@@ -65,7 +65,7 @@ impl Pixels {
         Measurements {
             lights: self.lights.clone(),
             images: self.images.iter().map(Vec::as_slice).collect(),
-            saturation: self.saturation,
+            saturated: self.saturated.iter().map(Vec::as_slice).collect(),
         }
     }
 }

@@ -104,7 +104,7 @@ mod tests {
         let seen = crate::solve::Measurements {
             lights: stack.lights.clone(),
             images: stack.grey.iter().map(Vec::as_slice).collect(),
-            saturation: None,
+            saturated: Vec::new(),
         };
         let solution = crate::solve::by_name("ls").unwrap().solve(&seen).unwrap();
         assert!(crate::error::mae(&solution.normals, stack.truth.as_deref().unwrap()) < 2.0);

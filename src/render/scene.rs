@@ -294,6 +294,7 @@ impl Camera for SceneCamera<'_> {
             light: direction,
             grey,
             rgb,
+            saturated: Vec::new(),
             effective_images: 1.0,
             index: None,
         })
@@ -328,7 +329,7 @@ mod tests {
         let m = Measurements {
             lights: lights.clone(),
             images: images.iter().map(Vec::as_slice).collect(),
-            saturation: None,
+            saturated: Vec::new(),
         };
         let solution = LeastSquares.solve(&m).unwrap();
         let lit = |p: &usize| lights.iter().all(|l| s.truth()[*p].dot(*l) > 0.0);

@@ -338,6 +338,7 @@ impl Camera for Sphere {
             light: direction,
             rgb: grey.iter().map(|g| [*g; 3]).collect(),
             grey,
+            saturated: Vec::new(),
             effective_images: 1.0,
             index: None,
         })

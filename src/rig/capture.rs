@@ -755,7 +755,7 @@ impl<'a> Capture<'a> {
         if found != expected {
             return Err(CaptureError::Size { found, expected });
         }
-        let (codes, scale) = store::quantise(&mask.gather(&merged.rgb));
+        let (codes, scale) = store::quantise(&mask.gather(&merged.rgb), &mask.gather(&merged.saturated));
         let (image, crc32) = store::encode_shot(self.next_number, &codes, mask)?;
         let used = measured.map_or(plan.commanded, |m| m.0);
         let picture = store::observation(plan.requested, used, &codes, scale);

@@ -14,7 +14,7 @@ use crate::camera::Observation;
 use crate::dataset::diligent::{decode_pixels, encode_pixels};
 use crate::dataset::lp::write_lp;
 use crate::image;
-use crate::stack::{BitDepth, Mask};
+use crate::stack::{BitDepth, Mask, flags};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
@@ -168,12 +168,22 @@ pub fn crc32(bytes: &[u8]) -> u32 {
     crc.sum()
 }
 
-/// 16-bit codes of the mask pixels' merged values, and the scale.
+/// What only a saturated pixel has.
+const SATURATED: u16 = u16::MAX;
+
+/// 16-bit codes of the mask pixels' merged values, and the scale. The largest code is kept for pixels that are saturated
+/// in every exposure: their brightest channel has it.
 #[must_use]
-pub fn quantise(rgb: &[[f32; 3]]) -> (Vec<[u16; 3]>, f32) {
-    let scale = rgb.iter().flatten().copied().fold(0.0f32, f32::max).max(1e-6);
-    let code = |v: f32| (v / scale * 65535.0 + 0.5).clamp(0.0, 65535.0) as u16;
-    (rgb.iter().map(|c| c.map(code)).collect(), scale)
+pub fn quantise(rgb: &[[f32; 3]], saturated: &[bool]) -> (Vec<[u16; 3]>, f32) {
+    let brightest = rgb.iter().flatten().copied().fold(0.0f32, f32::max).max(1e-6);
+    let top = f32::from(SATURATED - 1);
+    let code = |v: f32| (v / brightest * top + 0.5).clamp(0.0, top) as u16;
+    let mut codes: Vec<[u16; 3]> = rgb.iter().map(|c| c.map(code)).collect();
+    for (code, _) in codes.iter_mut().zip(saturated).filter(|(_, s)| **s) {
+        let most = *code.iter().max().unwrap_or(&0);
+        *code = code.map(|c| if c == most { SATURATED } else { c });
+    }
+    (codes, brightest * (f32::from(SATURATED) / top))
 }
 
 /// The picture as it will be read back, so that a continued session is the same as one that never stopped.
@@ -182,7 +192,8 @@ pub fn observation(requested: Vec3, light: Vec3, codes: &[[u16; 3]], scale: f32)
     let value = |v: u16| f32::from(v) / 65535.0 * scale;
     let rgb: Vec<[f32; 3]> = codes.iter().map(|c| c.map(value)).collect();
     let grey = rgb.iter().map(|c| (c[0] + c[1] + c[2]) / 3.0).collect();
-    Observation { requested, light, grey, rgb, effective_images: 1.0, index: None }
+    let saturated = flags(codes.iter().map(|c| c.contains(&SATURATED)));
+    Observation { requested, light, grey, rgb, saturated, effective_images: 1.0, index: None }
 }
 
 /// The image of a shot as a file, and its CRC.
@@ -341,6 +352,19 @@ mod tests {
         (shot, write)
     }
 
+    #[test]
+    fn the_largest_code_is_for_saturated_pixels() {
+        let rgb = [[0.5, 1.0, 0.2], [0.9, 0.1, 0.1], [0.3; 3]];
+        let (codes, scale) = quantise(&rgb, &[]);
+        assert!(observation(Vec3::Z, Vec3::Z, &codes, scale).saturated.is_empty());
+        let (codes, scale) = quantise(&rgb, &[true, false, false]);
+        let picture = observation(Vec3::Z, Vec3::Z, &codes, scale);
+        assert_eq!(picture.saturated, [true, false, false]);
+        for (found, given) in picture.rgb.iter().flatten().zip(rgb.as_flattened()) {
+            assert!((found - given).abs() < 3e-5, "{found} {given}");
+        }
+    }
+
     /// All writes of a session of five lights, in order.
     fn session() -> (Vec<Write>, Mask, Vec<Observation>) {
         let mask =
@@ -352,7 +376,7 @@ mod tests {
         let mut seen = Vec::new();
         for (k, light) in fibonacci_cap(5, 1.0).into_iter().enumerate() {
             let rgb: Vec<[f32; 3]> = (0..mask.len()).map(|p| [0.01 * (p + k) as f32, 0.2, 0.05]).collect();
-            let (codes, scale) = quantise(&rgb);
+            let (codes, scale) = quantise(&rgb, &[]);
             seen.push(observation(light, light, &codes, scale));
             let (shot, image) = shot(k + 1, light, &codes, &mask, scale);
             record.shots.push(shot);

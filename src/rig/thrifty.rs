@@ -77,6 +77,7 @@ impl Planner for Thrifty<'_> {
                     light: d,
                     grey: Vec::new(),
                     rgb: Vec::new(),
+                    saturated: Vec::new(),
                     effective_images: 1.0,
                     index: None,
                 });
@@ -155,6 +156,7 @@ mod tests {
                 light: d,
                 grey,
                 rgb: Vec::new(),
+                saturated: Vec::new(),
                 effective_images: 1.0,
                 index: None,
             });

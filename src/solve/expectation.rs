@@ -340,7 +340,7 @@ mod tests {
             let m = Measurements {
                 lights: lights.clone(),
                 images: scaled.iter().map(Vec::as_slice).collect(),
-                saturation: None,
+                saturated: Vec::new(),
             };
             let solver = by_name("trimmed").unwrap();
             let solution = solver.solve(&m).unwrap();
@@ -362,7 +362,7 @@ mod tests {
             let m = Measurements {
                 lights: lights.clone(),
                 images: images.iter().map(Vec::as_slice).collect(),
-                saturation: None,
+                saturated: Vec::new(),
             };
             let solver = by_name(name).unwrap();
             let solution = solver.solve(&m).unwrap();

@@ -73,6 +73,16 @@ impl Lanes {
         Self(out)
     }
 
+    /// 0 where a pixel is flagged, else 1; also 1 where there is no flag.
+    #[inline(always)]
+    pub fn unflagged(flags: &[bool]) -> Self {
+        let mut out = [1.0; LANES];
+        for (v, &flag) in out.iter_mut().zip(flags) {
+            *v = f32::from(!flag);
+        }
+        Self(out)
+    }
+
     /// Lane by lane the larger.
     #[inline(always)]
     pub fn max(mut self, other: Self) -> Self {

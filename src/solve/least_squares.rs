@@ -38,7 +38,23 @@ impl Solver for LeastSquares {
                 (*normal, *albedo) = split(Vec3::new(g[0][p], g[1][p], g[2][p]));
             }
         }
-        Ok(finish(normals, albedo))
+        let mut solution = finish(normals, albedo);
+        mark_saturated(measurements, &mut solution.validity);
+        Ok(solution)
+    }
+}
+
+/// Marks pixels with less than three values that are not saturated.
+fn mark_saturated(measurements: &Measurements, validity: &mut [Validity]) {
+    if measurements.saturated.iter().all(|flags| flags.is_empty()) {
+        return;
+    }
+    for (p, validity) in validity.iter_mut().enumerate() {
+        let whole =
+            (0..measurements.images.len()).filter(|&k| measurements.saturated_in(k).get(p) != Some(&true));
+        if whole.take(3).count() < 3 {
+            *validity = Validity::Saturated;
+        }
     }
 }
 
@@ -151,7 +167,11 @@ mod tests {
         let normals = fibonacci_cap(1500, 0.5);
         let lights = fibonacci_cap(10, 0.9);
         let images = shaded(&normals, &lights, 0.7);
-        let m = Measurements { lights, images: images.iter().map(Vec::as_slice).collect(), saturation: None };
+        let m = Measurements {
+            lights,
+            images: images.iter().map(Vec::as_slice).collect(),
+            saturated: Vec::new(),
+        };
         let s = LeastSquares.solve(&m).unwrap();
         for (a, b) in s.normals.iter().zip(&normals) {
             assert!((*a - *b).length() < 1e-5);
@@ -172,7 +192,11 @@ mod tests {
         let mut previewed = vec![Vec3::ZERO; 300];
         running.preview(lights[6], &images[6], |p, n| previewed[p] = n);
         running.add(lights[6], &images[6]);
-        let m = Measurements { lights, images: images.iter().map(Vec::as_slice).collect(), saturation: None };
+        let m = Measurements {
+            lights,
+            images: images.iter().map(Vec::as_slice).collect(),
+            saturated: Vec::new(),
+        };
         let whole = LeastSquares.solve(&m).unwrap();
         for ((a, b), c) in whole.normals.iter().zip(running.solve().unwrap().normals).zip(previewed) {
             assert!((*a - b).length() < 1e-5 && (b - c).length() < 1e-6);
@@ -184,7 +208,7 @@ mod tests {
         let black = vec![0.0; 4];
         let solve = |lights: Vec<Vec3>| {
             let images = vec![black.as_slice(); lights.len()];
-            LeastSquares.solve(&Measurements { lights, images, saturation: None })
+            LeastSquares.solve(&Measurements { lights, images, saturated: Vec::new() })
         };
         assert_eq!(solve(vec![Vec3::Z; 2]).unwrap_err(), SolveError::TooFew(2));
         assert_eq!(solve(vec![Vec3::Z; 5]).unwrap_err(), SolveError::Coplanar(5));

@@ -12,6 +12,7 @@ pub mod trimmed;
 pub mod uncertainty;
 
 use crate::camera::Observation;
+use crate::stack::Stack;
 use glam::Vec3;
 
 pub use irls::{Irls, Loss};
@@ -28,8 +29,8 @@ pub struct Measurements<'a> {
     pub lights: Vec<Vec3>,
     /// Linear grey value of every mask pixel, for each image.
     pub images: Vec<&'a [f32]>,
-    /// Value at and above which a pixel is saturated; `None` where the images have no such limit.
-    pub saturation: Option<f32>,
+    /// Which pixels are saturated, for each image. Where none is, an image's list may be empty, and so may the whole.
+    pub saturated: Vec<&'a [bool]>,
 }
 
 impl<'a> Measurements<'a> {
@@ -39,7 +40,17 @@ impl<'a> Measurements<'a> {
         Self {
             lights: seen.iter().map(|o| o.light).collect(),
             images: seen.iter().map(|o| o.grey.as_slice()).collect(),
-            saturation: None,
+            saturated: seen.iter().map(|o| o.saturated.as_slice()).collect(),
+        }
+    }
+
+    /// All images of a stack.
+    #[must_use]
+    pub fn of_stack(stack: &'a Stack) -> Self {
+        Self {
+            lights: stack.lights.clone(),
+            images: stack.grey.iter().map(Vec::as_slice).collect(),
+            saturated: stack.saturated.iter().map(Vec::as_slice).collect(),
         }
     }
 
@@ -50,7 +61,14 @@ impl<'a> Measurements<'a> {
     #[must_use]
     pub fn range(&self, first: usize, end: usize) -> Self {
         let images = self.images.iter().map(|i| &i[first..end]).collect();
-        Self { lights: self.lights.clone(), images, saturation: self.saturation }
+        let saturated = self.saturated.iter().map(|s| s.get(first..end).unwrap_or_default()).collect();
+        Self { lights: self.lights.clone(), images, saturated }
+    }
+
+    /// Which pixels are saturated in image `k`; empty where none is.
+    #[must_use]
+    pub fn saturated_in(&self, k: usize) -> &'a [bool] {
+        self.saturated.get(k).copied().unwrap_or_default()
     }
 
     /// Number of pixels.
@@ -67,6 +85,9 @@ impl<'a> Measurements<'a> {
         let pixels = self.images[0].len();
         if let Some(k) = self.images.iter().position(|i| i.len() != pixels) {
             return Err(SolveError::Pixels { image: k, found: self.images[k].len(), expected: pixels });
+        }
+        if let Some(k) = self.saturated.iter().position(|s| !s.is_empty() && s.len() != pixels) {
+            return Err(SolveError::Pixels { image: k, found: self.saturated[k].len(), expected: pixels });
         }
         Ok(pixels)
     }

@@ -166,6 +166,7 @@ pub fn solve<W: Weigh>(
     let mut values = vec![Lanes::ZERO; count];
     let mut usable = vec![Lanes::ONE; count];
     let mut weights = vec![Lanes::ONE; count];
+    let mut bright = vec![Lanes::ONE; count];
     let mut out = Solution {
         normals: Vec::with_capacity(pixels),
         albedo: Vec::with_capacity(pixels),
@@ -180,19 +181,20 @@ pub fn solve<W: Weigh>(
             *v = Lanes::load(&image[start..end]);
             brightest = brightest.max(*v);
         }
-        let ceiling = Lanes::splat(measurements.saturation.unwrap_or(f32::INFINITY));
         let dark = brightest * thresholds.shadow;
-        let (mut lit, mut unsaturated) = (Lanes::ZERO, Lanes::ZERO);
-        for (u, &v) in weights.iter_mut().zip(&values) {
-            let (bright, whole) = (dark.below(v), v.below(ceiling));
-            lit += bright;
+        let mut unsaturated = Lanes::ZERO;
+        for k in 0..count {
+            let whole = Lanes::unflagged(measurements.saturated_in(k).get(start..end).unwrap_or_default());
             unsaturated += whole;
-            *u = bright * whole;
+            bright[k] = dark.below(values[k]);
+            weights[k] = bright[k] * whole;
         }
+        let solvable = |w: &[Lanes]| enough.at_most(fit(lights, &values, w).spread) * counted(w);
         // Where shadow and saturation leave too little, all values are better than none.
         usable.fill(Lanes::ONE);
-        let spread = fit(lights, &values, &weights).spread;
-        prefer(enough.at_most(spread) * counted(&weights), &weights, &mut usable);
+        let good = solvable(&weights);
+        prefer(good, &weights, &mut usable);
+        let without_saturation = if good == Lanes::ONE { good } else { solvable(&bright) };
 
         weights.copy_from_slice(&usable);
         method.weigh(&Block { lights, values: &values, usable: &usable }, &mut weights);
@@ -211,12 +213,16 @@ pub fn solve<W: Weigh>(
             let dead = !(a > 1e-20 && a.is_finite());
             out.normals.push(if dead { Vec3::Z } else { g / a });
             out.albedo.push(if dead { 0.0 } else { a });
+            let missing =
+                if without_saturation.0[i] > 0.0 { Validity::Saturated } else { Validity::Shadowed };
             out.validity.push(if unsaturated.0[i] < 3.0 {
                 Validity::Saturated
-            } else if dead || lit.0[i] < 3.0 {
+            } else if dead {
                 Validity::Shadowed
-            } else {
+            } else if good.0[i] > 0.0 {
                 Validity::Valid
+            } else {
+                missing
             });
         }
     }
@@ -246,8 +252,12 @@ mod tests {
     }
 
     fn solve(solver: &dyn Solver, lights: &[Vec3], images: &[Vec<f32>], saturation: Option<f32>) -> Solution {
+        let limit = saturation.unwrap_or(f32::INFINITY);
+        let flags: Vec<Vec<bool>> =
+            images.iter().map(|i| i.iter().map(|v| v.is_finite() && *v >= limit).collect()).collect();
         let images = images.iter().map(Vec::as_slice).collect();
-        let measurements = Measurements { lights: lights.to_vec(), images, saturation };
+        let saturated = flags.iter().map(Vec::as_slice).collect();
+        let measurements = Measurements { lights: lights.to_vec(), images, saturated };
         let mut solution = solver.solve(&measurements).unwrap();
         uncertainty::complete(solver.name(), &measurements, &mut solution).unwrap();
         solution
@@ -294,6 +304,53 @@ mod tests {
         let ls = error("ls");
         for name in ["trimmed", "l1", "huber", "cauchy", "sbr"] {
             assert!(error(name) < 0.25 * ls, "{name}: {} of {ls}", error(name));
+        }
+    }
+
+    #[test]
+    fn saturated_values_are_left_out_and_pixels_without_others_are_marked() {
+        let (normals, lights) = (fibonacci_cap(300, 0.3), fibonacci_cap(12, 1.0));
+        // So bright that the sensor cuts off all but so many of the lights.
+        for (left, validity) in [(8, Validity::Valid), (2, Validity::Saturated)] {
+            let mut images = lambert(&normals, &lights);
+            for p in 0..normals.len() {
+                let mut values: Vec<f32> = images.iter().map(|i| i[p]).collect();
+                values.sort_by(f32::total_cmp);
+                let gain = 1.001 / values[left];
+                images.iter_mut().for_each(|i| i[p] = (gain * i[p]).min(1.0));
+            }
+            for solver in all() {
+                let s = solve(&*solver, &lights, &images, Some(1.0));
+                assert!(s.validity.iter().all(|v| *v == validity), "{}", solver.name());
+                // Least squares takes all values; the network saw few pixels of which a third is saturated.
+                let limit = match (validity, solver.name()) {
+                    (Validity::Saturated, _) | (_, "ls") => 90.0,
+                    (_, "pixel") => 3.0,
+                    _ => 0.2,
+                };
+                let off = crate::error::mae(&s.normals, &normals);
+                assert!(off < limit, "{}: {off}°", solver.name());
+            }
+        }
+    }
+
+    #[test]
+    fn pixels_whose_lit_lights_lie_close_together_are_marked() {
+        let mut lights = ring(4, 0.05, 0.3);
+        lights.extend(ring(6, 0.9, 0.0));
+        let normals = [Vec3::Z];
+        let mut images = lambert(&normals, &lights);
+        images[4..].iter_mut().for_each(|image| image.fill(0.0));
+        let (shadowed, saturated) = (images.clone(), images);
+        for solver in all().iter().filter(|s| s.name() != "ls") {
+            let s = solve(&**solver, &lights, &shadowed, Some(1.0));
+            assert_eq!(s.validity, [Validity::Shadowed], "{}", solver.name());
+        }
+        let mut burnt = saturated;
+        burnt[4..].iter_mut().for_each(|image| image.fill(1.0));
+        for solver in all().iter().filter(|s| s.name() != "ls") {
+            let s = solve(&**solver, &lights, &burnt, Some(1.0));
+            assert_eq!(s.validity, [Validity::Saturated], "{}", solver.name());
         }
     }
 

@@ -40,6 +40,8 @@ pub fn shown_by(mask: &Mask, level: usize) -> Vec<Option<u32>> {
 pub struct Piece {
     /// For each image the values of the chosen pixels.
     pub images: Vec<Vec<f32>>,
+    /// For each image which of them are saturated; empty where none is.
+    pub saturated: Vec<Vec<bool>>,
 }
 
 impl Piece {
@@ -50,16 +52,23 @@ impl Piece {
     #[must_use]
     pub fn of(measurements: &Measurements, pixels: &[u32]) -> Self {
         let pick = |image: &&[f32]| pixels.iter().map(|&p| image[p as usize]).collect();
-        Self { images: measurements.images.iter().map(pick).collect() }
+        let flagged = |flags: &&[bool]| match flags {
+            [] => Vec::new(),
+            _ => pixels.iter().map(|&p| flags[p as usize]).collect(),
+        };
+        Self {
+            images: measurements.images.iter().map(pick).collect(),
+            saturated: measurements.saturated.iter().map(flagged).collect(),
+        }
     }
 
-    /// As a solver takes it, with the lights and limits of `whole`.
+    /// As a solver takes it, with the lights of `whole`.
     #[must_use]
     pub fn measurements<'a>(&'a self, whole: &Measurements) -> Measurements<'a> {
         Measurements {
             lights: whole.lights.clone(),
             images: self.images.iter().map(Vec::as_slice).collect(),
-            saturation: whole.saturation,
+            saturated: self.saturated.iter().map(Vec::as_slice).collect(),
         }
     }
 }
@@ -82,7 +91,7 @@ mod tests {
         let measurements = Measurements {
             lights: fibonacci_cap(6, 0.8),
             images: images.iter().map(Vec::as_slice).collect(),
-            saturation: None,
+            saturated: Vec::new(),
         };
         for (name, _) in SOLVERS {
             let solver = by_name(name).unwrap();

@@ -184,7 +184,7 @@ mod tests {
         let loss =
             LeastSquares { ridge: 0.0 }.loss(&captured, &[0.0, 0.0, 0.0, 0.0, 0.0, 1.0], Measure::Cosine);
         let images = grey.iter().map(Vec::as_slice).collect();
-        let m = Measurements { lights: lights.clone(), images, saturation: None };
+        let m = Measurements { lights: lights.clone(), images, saturated: Vec::new() };
         let normals = Exact.solve(&m).unwrap().normals;
         let mean = normals.iter().zip(&truth).map(|(a, b)| 1.0 - f64::from(a.dot(*b))).sum::<f64>() / 40.0;
         assert!((loss.last - mean).abs() < 1e-6 && (loss.total - mean).abs() < 1e-6);

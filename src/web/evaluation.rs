@@ -146,7 +146,7 @@ impl Evaluation {
                 let seen = run
                     .seen
                     .iter()
-                    .map(|o| Observation { grey: Vec::new(), rgb: Vec::new(), ..*o })
+                    .map(|o| Observation { grey: Vec::new(), rgb: Vec::new(), saturated: Vec::new(), ..*o })
                     .collect();
                 self.open = Some(Rc::new(std::mem::replace(&mut run.seen, seen)));
             }

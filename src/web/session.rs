@@ -55,7 +55,15 @@ impl Session {
         };
         let rgb: Vec<[f32; 3]> = rgb.as_chunks().0.to_vec();
         let grey = rgb.iter().map(|c| 0.2989 * c[0] + 0.5870 * c[1] + 0.1140 * c[2]).collect();
-        let picture = Observation { requested, light, grey, rgb, effective_images: 1.0, index: None };
+        let picture = Observation {
+            requested,
+            light,
+            grey,
+            rgb,
+            saturated: Vec::new(),
+            effective_images: 1.0,
+            index: None,
+        };
         self.0.observe(picture).map_err(fail)
     }
 

@@ -36,6 +36,7 @@ pub struct Values {
     first: usize,
     count: usize,
     values: Vec<f32>,
+    saturated: Vec<u8>,
 }
 
 #[wasm_bindgen]
@@ -59,6 +60,13 @@ impl Values {
     #[must_use]
     pub fn values(&self) -> Vec<f32> {
         self.values.clone()
+    }
+
+    /// 1 for each value that is saturated, else 0; nothing where none is.
+    #[wasm_bindgen(getter)]
+    #[must_use]
+    pub fn saturated(&self) -> Vec<u8> {
+        self.saturated.clone()
     }
 }
 
@@ -120,7 +128,16 @@ impl Tiles {
         let end = level_end.min(first + most.max(1));
         self.given = end;
         let piece = Piece::of(&Measurements::of(&self.seen), &self.order[first..end]);
-        Some(Values { first, count: end - first, values: piece.images.concat() })
+        let count = end - first;
+        let mut saturated = Vec::new();
+        if piece.saturated.iter().any(|flags| flags.contains(&true)) {
+            for flags in &piece.saturated {
+                let at = saturated.len();
+                saturated.extend(flags.iter().map(|&f| u8::from(f)));
+                saturated.resize(at + count, 0);
+            }
+        }
+        Some(Values { first, count, values: piece.images.concat(), saturated })
     }
 
     /// Takes in what `solvePiece` has made of the values that began at `first`.
@@ -178,14 +195,22 @@ impl Tiles {
 }
 
 /// Solves the pixels of a piece: `lights` has three numbers for each image, `values` the grey values of `count` pixels
-/// for one image after the other. Six numbers a pixel: normal (3), albedo, expected error in degrees, and 0 for a valid
+/// for one image after the other, `saturated` 1 for each of them that is saturated (or nothing where none is). Six numbers a pixel: normal (3), albedo, expected error in degrees, and 0 for a valid
 /// pixel, 1 for one in shadow, 2 for a saturated one.
 #[wasm_bindgen(js_name = solvePiece)]
-pub fn solve_piece(solver: &str, lights: &[f32], values: &[f32], count: usize) -> Result<Vec<f32>, JsError> {
+pub fn solve_piece(
+    solver: &str,
+    lights: &[f32],
+    values: &[f32],
+    saturated: &[u8],
+    count: usize,
+) -> Result<Vec<f32>, JsError> {
+    let count = count.max(1);
+    let flags: Vec<bool> = saturated.iter().map(|&f| f != 0).collect();
     let measurements = Measurements {
         lights: directions(lights)?,
-        images: values.chunks_exact(count.max(1)).collect(),
-        saturation: None,
+        images: values.chunks_exact(count).collect(),
+        saturated: flags.chunks(count).collect(),
     };
     let solver = super::solver(solver)?;
     let mut solution = solver.solve(&measurements).map_err(fail)?;

@@ -100,9 +100,7 @@ fn export(
         Format::Submission => {
             let (raw, _) = files::read_object(files, dir, limits)?;
             let stack = Protocol::Official.apply(&raw)?;
-            let images = stack.grey.iter().map(Vec::as_slice).collect();
-            let m = Measurements { lights: stack.lights.clone(), images, saturation: None };
-            let normals = solve::by_name(&args.solver)?.solve(&m)?.normals;
+            let normals = solve::by_name(&args.solver)?.solve(&Measurements::of_stack(&stack))?.normals;
             vec![(format!("{name}.mat"), diligent102::submission(&stack.mask, &normals))]
         }
     };

@@ -91,7 +91,6 @@ impl Start {
         let clean = |v: f32| if v.is_finite() { v.max(0.0) } else { 0.0 };
         let brightest = m.images.iter().map(|i| clean(i[p])).fold(1e-20, f32::max);
         let (per_brightest, per_albedo) = (1.0 / brightest, 1.0 / albedo.max(1e-3 * brightest));
-        let ceiling = m.saturation.unwrap_or(f32::INFINITY);
         let count = m.lights.len();
         let log_count = libm::logf(count as f32 / 10.0);
 
@@ -105,7 +104,8 @@ impl Start {
             frame.trust = residual / (residual + HALF_TRUST);
         }
         let trust = frame.trust;
-        for (token, (image, &l)) in inputs.chunks_exact_mut(INPUTS).zip(m.images.iter().zip(&m.lights)) {
+        let pictures = m.images.iter().zip(&m.lights).enumerate();
+        for (token, (k, (image, &l))) in inputs.chunks_exact_mut(INPUTS).zip(pictures) {
             let value = clean(image[p]);
             let v = value * per_brightest;
             let turned = frame.turn(l);
@@ -128,7 +128,7 @@ impl Start {
                 turned_plain.y,
                 turned_plain.z,
                 log_count,
-                f32::from(value >= ceiling),
+                f32::from(m.saturated_in(k).get(p) == Some(&true)),
                 trust,
             ];
             for (wide, number) in token.iter_mut().zip(numbers) {
@@ -225,7 +225,11 @@ mod tests {
         let mut rng = Rng::new(1);
         let lights = fibonacci_cap(8, 0.9);
         let images: Vec<Vec<f32>> = (0..8).map(|_| (0..TILE + 37).map(|_| rng.uniform()).collect()).collect();
-        let m = Measurements { lights, images: images.iter().map(Vec::as_slice).collect(), saturation: None };
+        let m = Measurements {
+            lights,
+            images: images.iter().map(Vec::as_slice).collect(),
+            saturated: Vec::new(),
+        };
         let solver = PixelNetwork::shipped();
         let whole = solver.solve(&m).unwrap();
         let part = solver.solve(&m.range(TILE - 3, TILE + 30)).unwrap();
@@ -241,7 +245,7 @@ mod tests {
         let images: Vec<&[f32]> = images.iter().map(Vec::as_slice).collect();
         let turned = lights.iter().map(|&l| crate::light::rotate_about_axis(l, 1.1)).collect();
         let solve = |lights| {
-            let m = Measurements { lights, images: images.clone(), saturation: None };
+            let m = Measurements { lights, images: images.clone(), saturated: Vec::new() };
             PixelNetwork::shipped().solve(&m).unwrap().normals
         };
         for (a, b) in solve(lights).into_iter().zip(solve(turned)) {
