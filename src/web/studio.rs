@@ -494,7 +494,7 @@ impl Rig {
             let online = planner::info(&wanted.planner).map_err(fail)?.online;
             chosen = Box::new(Thrifty::new(chosen, online, self.arm.clone(), degrees.to_radians()));
         }
-        let reach = wanted.reach.clamp(1.0, 90.0).min(self.arm.limits.slant[1] as f32).to_radians();
+        let reach = wanted.reach.clamp(1.0, 90.0).min(self.arm.reach() as f32).to_radians();
         let session = Session::new(mask, Domain::Hemisphere { reach }, chosen, wanted.lights);
         let options = Options {
             exposures: wanted.exposures.iter().map(|ms| ms / 1000.0).collect(),

@@ -455,7 +455,7 @@ fn session(
     if let Some(degrees) = args.nearby {
         planner = Box::new(Thrifty::new(planner, info.online, arm.clone(), degrees.to_radians()));
     }
-    let reach = args.reach.min(arm.limits.slant[1] as f32).to_radians();
+    let reach = args.reach.min(arm.reach() as f32).to_radians();
     let session = Session::new(mask.clone(), Domain::Hemisphere { reach }, planner, args.lights);
     let options = Options {
         exposures: args.exposures.iter().map(|ms| ms / 1000.0).collect(),
