@@ -26,7 +26,7 @@ use glam::Vec3;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 /// Take a session: plan, move, settle, expose, merge, store, solve; T times.
 #[derive(clap::Args)]
@@ -44,8 +44,7 @@ pub struct Args {
     /// Go on with the session in that folder.
     #[arg(long)]
     resume: bool,
-    /// Planner; `coil eval --help` lists them.
-    #[arg(long, default_value = "tk22")]
+    #[arg(long, default_value = "tk22", help = planners())]
     planner: String,
     /// Number of lights, T.
     #[arg(short = 't', long, default_value_t = 10)]
@@ -120,6 +119,15 @@ pub struct Args {
     /// How long to wait for a file of a folder camera, seconds.
     #[arg(long, default_value_t = 60.0)]
     patience: f64,
+}
+
+/// Help on the planners that a rig can have: an oracle would need the truth.
+fn planners() -> String {
+    let learned = |name: &str| name.starts_with("coil");
+    let possible =
+        planner::PLANNERS.iter().filter(|p| !p.oracle && (cfg!(feature = "policy") || !learned(p.name)));
+    let names: Vec<&str> = possible.map(|p| p.name).chain(["ring:DEGREES"]).collect();
+    format!("Planner: {}", names.join(", "))
 }
 
 /// A part of a picture, written LEFT,TOP,WIDTH,HEIGHT.
@@ -240,9 +248,8 @@ fn next_file(
     let start = Instant::now();
     let mut last: Option<(PathBuf, u64)> = None;
     while start.elapsed().as_secs_f64() < patience {
-        let mut fresh: Vec<PathBuf> = list(dir)?.into_iter().filter(|p| !known.contains(p)).collect();
-        fresh.sort();
-        if let Some(path) = fresh.into_iter().next() {
+        let fresh = list(dir)?.into_iter().filter(|p| !known.contains(p));
+        if let Some(path) = fresh.min_by_key(|p| (saved(p), counted(p))) {
             let size = std::fs::metadata(&path).map_or(0, |m| m.len());
             if last.as_ref() == Some(&(path.clone(), size)) && size > 0 {
                 known.insert(path.clone());
@@ -263,6 +270,33 @@ fn next_file(
         "{}: no new image in {patience} s: does the camera save there, and is it triggered (--shutter)?",
         dir.display()
     )
+}
+
+/// When a file was last written to.
+fn saved(path: &Path) -> Option<SystemTime> {
+    path.metadata().and_then(|m| m.modified()).ok()
+}
+
+/// A part of a file's name.
+#[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Part {
+    /// Digits without leading zeros, and before them how many: so they are ordered as numbers of any size.
+    Number(usize, Vec<u8>),
+    Text(Vec<u8>),
+}
+
+/// A name in the order in which cameras count: img9 before img10.
+fn counted(path: &Path) -> (Vec<Part>, PathBuf) {
+    let name = path.file_stem().unwrap_or_default().as_encoded_bytes();
+    let part = |run: &[u8]| {
+        if !run[0].is_ascii_digit() {
+            return Part::Text(run.into());
+        }
+        let digits: Vec<u8> = run.iter().copied().skip_while(|d| *d == b'0').collect();
+        Part::Number(digits.len(), digits)
+    };
+    let parts = name.chunk_by(|a, b| a.is_ascii_digit() == b.is_ascii_digit()).map(part).collect();
+    (parts, path.into())
 }
 
 fn list(dir: &Path) -> anyhow::Result<Vec<PathBuf>> {
@@ -667,4 +701,28 @@ fn budget(capture: &Capture) {
         mean(|t| t.merge),
         mean(|t| t.solve),
     );
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_in_names_are_counted() {
+        let sorted = |names: &[&str]| {
+            let mut paths: Vec<PathBuf> = names.iter().map(|n| Path::new("cam").join(n)).collect();
+            paths.sort_by_key(|p| counted(p));
+            paths.iter().map(|p| p.file_name().unwrap().to_str().unwrap().to_string()).collect::<Vec<_>>()
+        };
+        for order in [
+            &["img9.png", "img10.png", "img11.png"][..],
+            &["DSC_0099-2.tif", "DSC_0099-10.tif", "DSC_0100-1.tif"],
+            &["capt.png", "capt1.png", "capt02.png", "capt3.png"],
+            &["20261124235959123456789.png", "20261124235959123456790.png", "120261124235959123456789.png"],
+            &["007.png", "07.png", "7.png", "8.png"],
+        ] {
+            let turned: Vec<&str> = order.iter().rev().copied().collect();
+            assert_eq!(sorted(&turned), order);
+        }
+    }
 }
