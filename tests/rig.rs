@@ -143,7 +143,17 @@ fn a_session_is_captured_kept_and_continued() {
     let before = record(&silent).shots.len();
     assert!((1..5).contains(&before), "{before}");
     let again = [&base[..7], &["--out", text(&silent), "--resume"]].concat();
-    assert!(bad(2, &[&again[..], &["--seed", "9"]].concat()).contains("say the same"));
+    for (more, says) in [
+        (["--seed", "9"], "--seed 1 (now --seed 9)"),
+        (["--material", "ggx:0.3"], "--material lambert:0.8 (now --material ggx:0.3)"),
+        (["--misaligned", "1,0,0,0"], "no --misaligned (now --misaligned 1,0,0,0)"),
+        (["--camera", &format!("folder:{}", text(&at))], "--camera sim (now --camera folder:DIR)"),
+    ] {
+        let said = bad(2, &[&again[..], &more].concat());
+        assert!(said.contains(says) && said.contains("say the same"), "{said}");
+    }
+    let forgotten = ["capture", "--size", "32", "-t", "5", "--out", text(&silent), "--resume"];
+    assert!(bad(2, &forgotten).contains("begun with --object sphere (now --object blob:7)"));
     assert!(good(&again).contains(&format!("going on after {before} of 5 lights")));
     assert_eq!(record(&silent).shots.len(), 5);
 }

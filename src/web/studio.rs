@@ -516,6 +516,7 @@ impl Rig {
                 record.brightness = Some(wanted.brightness);
                 record.reach = Some(wanted.reach);
                 record.nearby = wanted.nearby;
+                record.dark = Some(wanted.dark);
                 record.firmware = format!("Grbl {}", self.link.version());
                 record.crop = crop;
                 record.sphere = match &simulation {
@@ -759,6 +760,7 @@ impl Settings {
         if let Some(reach) = r.reach {
             (self.reach, self.nearby) = (reach, r.nearby);
         }
+        self.dark = r.dark.unwrap_or(self.dark);
         if let Some(shot) = r.shots.first() {
             self.exposures = shot.exposures.iter().map(|s| s * 1000.0).collect();
         }
