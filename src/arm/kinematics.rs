@@ -197,6 +197,14 @@ impl Arm {
         self.mount.direction(joints)
     }
 
+    /// Largest slant of the light that the slant joint leaves, to whichever side, degrees; not counting the tilt of the
+    /// azimuth axis.
+    #[must_use]
+    pub fn reach(&self) -> f64 {
+        let [low, high] = self.limits.slant.map(|slant| (slant + self.mount.slant).abs());
+        low.max(high).min(90.0)
+    }
+
     /// Whether joint angles lie within the limits and outside the cone.
     #[must_use]
     pub fn allows(&self, joints: Joints) -> bool {
@@ -434,6 +442,29 @@ mod tests {
         // With the camera in the way it goes round.
         let plan = Arm::default().plan(opposite, FROM);
         assert!(plan.joints.slant > 0.0 && (plan.joints.azimuth.abs() - 180.0).abs() < 0.01);
+    }
+
+    #[test]
+    fn the_reach_is_that_of_the_longer_side() {
+        for (slant, zero, reach) in [
+            ([-80.0, 0.0], 0.0, 80.0),
+            ([0.0, 70.0], 0.0, 70.0),
+            ([-80.0, 20.0], -3.0, 83.0),
+            ([-20.0, 80.0], -3.0, 77.0),
+            ([-95.0, 85.0], 0.0, 90.0),
+        ] {
+            let limits = Limits { slant, keep_out: 0.0, ..Limits::default() };
+            let arm = Arm { limits, mount: Mount { slant: zero, ..Mount::default() }, ..Arm::default() };
+            assert_eq!(arm.reach(), reach);
+            for azimuth in [-150.0f32, -20.0, 0.0, 75.0, 180.0] {
+                let projected = |slant: f64| {
+                    let d = light::from_azimuth_slant(azimuth.to_radians(), slant.to_radians() as f32);
+                    arm.plan(d, FROM).projected
+                };
+                assert_eq!(projected(reach - 0.1), 0.0, "{arm:?}, azimuth {azimuth}°");
+                assert!(reach == 90.0 || projected(reach + 1.0) > 0.9, "{arm:?}, azimuth {azimuth}°");
+            }
+        }
     }
 
     #[test]

@@ -124,6 +124,15 @@ pub struct Record {
     /// By how much a light may be moved to save travel, degrees.
     #[serde(default)]
     pub nearby: Option<f32>,
+    /// Code value of black of the camera's files, where it saves some.
+    #[serde(default)]
+    pub black: Option<u16>,
+    /// Code value at which they saturate; none for the largest of the file.
+    #[serde(default)]
+    pub white: Option<u16>,
+    /// Whether exposures with the LED off are subtracted.
+    #[serde(default)]
+    pub dark: Option<bool>,
     /// Lights so far, in order.
     pub shots: Vec<Shot>,
     /// Faults and what was done, in order.
@@ -244,6 +253,9 @@ impl Record {
             brightness: None,
             reach: None,
             nearby: None,
+            black: None,
+            white: None,
+            dark: None,
             shots: Vec::new(),
             notes: Vec::new(),
         }

@@ -494,7 +494,7 @@ impl Rig {
             let online = planner::info(&wanted.planner).map_err(fail)?.online;
             chosen = Box::new(Thrifty::new(chosen, online, self.arm.clone(), degrees.to_radians()));
         }
-        let reach = wanted.reach.clamp(1.0, 90.0).min(self.arm.limits.slant[1] as f32).to_radians();
+        let reach = wanted.reach.clamp(1.0, 90.0).min(self.arm.reach() as f32).to_radians();
         let session = Session::new(mask, Domain::Hemisphere { reach }, chosen, wanted.lights);
         let options = Options {
             exposures: wanted.exposures.iter().map(|ms| ms / 1000.0).collect(),
@@ -516,6 +516,7 @@ impl Rig {
                 record.brightness = Some(wanted.brightness);
                 record.reach = Some(wanted.reach);
                 record.nearby = wanted.nearby;
+                record.dark = Some(wanted.dark);
                 record.firmware = format!("Grbl {}", self.link.version());
                 record.crop = crop;
                 record.sphere = match &simulation {
@@ -759,6 +760,7 @@ impl Settings {
         if let Some(reach) = r.reach {
             (self.reach, self.nearby) = (reach, r.nearby);
         }
+        self.dark = r.dark.unwrap_or(self.dark);
         if let Some(shot) = r.shots.first() {
             self.exposures = shot.exposures.iter().map(|s| s * 1000.0).collect();
         }

@@ -265,13 +265,14 @@ async function images(watched) {
 async function nextImage(watched, milliseconds) {
   let last = "";
   for (const end = now() + PATIENCE_MS; now() < end && mode !== "idle"; await sleep(80)) {
-    const [fresh] = [...await images(watched)].filter(([name]) => !known.has(name)).sort(([a], [b]) => a < b ? -1 : 1);
-    if (!fresh) continue;
-    const [name, handle] = fresh;
-    const file = await handle.getFile();
-    const size = `${name} ${file.size}`;
+    const fresh = [...await images(watched)].filter(([name]) => !known.has(name));
+    const files = await Promise.all(fresh.map(([, handle]) => handle.getFile()));
+    // As they were saved; of one moment, img9 before img10.
+    const [file] = files.sort((a, b) => a.lastModified - b.lastModified || a.name.localeCompare(b.name, "en", { numeric: true }));
+    if (!file) continue;
+    const size = `${file.name} ${file.size}`;
     if (file.size && size === last) {
-      known.add(name);
+      known.add(file.name);
       return { bytes: await file.arrayBuffer(), milliseconds };
     }
     last = size;

@@ -13,7 +13,7 @@ use coil_ps::arm::line::State;
 use coil_ps::light;
 use std::collections::VecDeque;
 use std::io::{BufRead, IsTerminal};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::Duration;
@@ -41,7 +41,7 @@ struct Rig {
 pub struct ArmArgs {
     /// Limits, mount and feed of the arm as JSON (what session.json holds under "arm"); without it those of the guide.
     #[arg(long, value_name = "FILE")]
-    pub config: Option<PathBuf>,
+    config: Option<PathBuf>,
 }
 
 impl ArmArgs {
@@ -50,16 +50,22 @@ impl ArmArgs {
     /// # Errors
     /// Where the file can't be read, or holds no arm.
     pub fn read(&self) -> anyhow::Result<Arm> {
-        let Some(path) = &self.config else { return Ok(Arm::default()) };
-        let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
-        let value: serde_json::Value =
-            serde_json::from_str(&text).with_context(|| path.display().to_string())?;
-        let arm = value.get("arm").cloned().unwrap_or(value);
-        let wrong = || format!("{}: not the configuration of an arm", path.display());
-        let arm: Arm = serde_json::from_value(arm).with_context(wrong)?;
-        arm.check().with_context(wrong)?;
-        Ok(arm)
+        self.config.as_deref().map_or_else(|| Ok(Arm::default()), read_config)
     }
+}
+
+/// The configuration in a file.
+///
+/// # Errors
+/// Where it can't be read, or holds no arm.
+pub fn read_config(path: &Path) -> anyhow::Result<Arm> {
+    let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    let value: serde_json::Value = serde_json::from_str(&text).with_context(|| path.display().to_string())?;
+    let arm = value.get("arm").cloned().unwrap_or(value);
+    let wrong = || format!("{}: not the configuration of an arm", path.display());
+    let arm: Arm = serde_json::from_value(arm).with_context(wrong)?;
+    arm.check().with_context(wrong)?;
+    Ok(arm)
 }
 
 #[derive(Subcommand)]

@@ -1,6 +1,6 @@
 //! `coil calibrate`: light directions from pictures of a mirror sphere, and the arm's zero and tilt from those.
 
-use crate::arm::ArmArgs;
+use crate::arm::read_config;
 use crate::capture::{circle, crop, read_frame};
 use anyhow::{Context, bail};
 use clap::Subcommand;
@@ -64,8 +64,9 @@ struct FitArgs {
     /// Folders of sessions, or their session.json.
     #[arg(required = true)]
     sessions: Vec<PathBuf>,
-    #[command(flatten)]
-    arm: ArmArgs,
+    /// Limits, mount and feed of the arm as JSON (what session.json holds under "arm"); without it those of the first session.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
     /// Write the arm's configuration with the fitted mount there: for --config of coil arm and coil capture.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -165,9 +166,10 @@ fn read_record(path: &Path) -> anyhow::Result<Record> {
 
 fn fit(args: &FitArgs) -> anyhow::Result<ExitCode> {
     let records: Vec<Record> = args.sessions.iter().map(|p| read_record(p)).collect::<anyhow::Result<_>>()?;
-    let mut arm = match (&args.arm.config, records.first()) {
+    let mut arm = match (&args.config, records.first()) {
+        (Some(path), _) => read_config(path)?,
         (None, Some(first)) => first.arm.clone(),
-        _ => args.arm.read()?,
+        (None, None) => bail!("no session was given"),
     };
     let sightings: Vec<Sighting> = records.iter().flat_map(Record::sightings).collect();
     let found = fit_mount(&sightings, arm.mount)?;

@@ -23,10 +23,10 @@ use coil_ps::solve::uncertainty::StopAt;
 use coil_ps::stack::{BitDepth, Mask};
 use coil_ps::{light, planner, solve};
 use glam::Vec3;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 /// Take a session: plan, move, settle, expose, merge, store, solve; T times.
 #[derive(clap::Args)]
@@ -44,8 +44,7 @@ pub struct Args {
     /// Go on with the session in that folder.
     #[arg(long)]
     resume: bool,
-    /// Planner; `coil eval --help` lists them.
-    #[arg(long, default_value = "tk22")]
+    #[arg(long, default_value = "tk22", help = planners())]
     planner: String,
     /// Number of lights, T.
     #[arg(short = 't', long, default_value_t = 10)]
@@ -120,6 +119,15 @@ pub struct Args {
     /// How long to wait for a file of a folder camera, seconds.
     #[arg(long, default_value_t = 60.0)]
     patience: f64,
+}
+
+/// Help on the planners that a rig can have: an oracle would need the truth.
+fn planners() -> String {
+    let learned = |name: &str| name.starts_with("coil");
+    let possible =
+        planner::PLANNERS.iter().filter(|p| !p.oracle && (cfg!(feature = "policy") || !learned(p.name)));
+    let names: Vec<&str> = possible.map(|p| p.name).chain(["ring:DEGREES"]).collect();
+    format!("Planner: {}", names.join(", "))
 }
 
 /// A part of a picture, written LEFT,TOP,WIDTH,HEIGHT.
@@ -240,9 +248,8 @@ fn next_file(
     let start = Instant::now();
     let mut last: Option<(PathBuf, u64)> = None;
     while start.elapsed().as_secs_f64() < patience {
-        let mut fresh: Vec<PathBuf> = list(dir)?.into_iter().filter(|p| !known.contains(p)).collect();
-        fresh.sort();
-        if let Some(path) = fresh.into_iter().next() {
+        let fresh = list(dir)?.into_iter().filter(|p| !known.contains(p));
+        if let Some(path) = fresh.min_by_key(|p| (saved(p), counted(p))) {
             let size = std::fs::metadata(&path).map_or(0, |m| m.len());
             if last.as_ref() == Some(&(path.clone(), size)) && size > 0 {
                 known.insert(path.clone());
@@ -263,6 +270,33 @@ fn next_file(
         "{}: no new image in {patience} s: does the camera save there, and is it triggered (--shutter)?",
         dir.display()
     )
+}
+
+/// When a file was last written to.
+fn saved(path: &Path) -> Option<SystemTime> {
+    path.metadata().and_then(|m| m.modified()).ok()
+}
+
+/// A part of a file's name.
+#[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Part {
+    /// Digits without leading zeros, and before them how many: so they are ordered as numbers of any size.
+    Number(usize, Vec<u8>),
+    Text(Vec<u8>),
+}
+
+/// A name in the order in which cameras count: img9 before img10.
+fn counted(path: &Path) -> (Vec<Part>, PathBuf) {
+    let name = path.file_stem().unwrap_or_default().as_encoded_bytes();
+    let part = |run: &[u8]| {
+        if !run[0].is_ascii_digit() {
+            return Part::Text(run.into());
+        }
+        let digits: Vec<u8> = run.iter().copied().skip_while(|d| *d == b'0').collect();
+        Part::Number(digits.len(), digits)
+    };
+    let parts = name.chunk_by(|a, b| a.is_ascii_digit() == b.is_ascii_digit()).map(part).collect();
+    (parts, path.into())
 }
 
 fn list(dir: &Path) -> anyhow::Result<Vec<PathBuf>> {
@@ -455,7 +489,7 @@ fn session(
     if let Some(degrees) = args.nearby {
         planner = Box::new(Thrifty::new(planner, info.online, arm.clone(), degrees.to_radians()));
     }
-    let reach = args.reach.min(arm.limits.slant[1] as f32).to_radians();
+    let reach = args.reach.min(arm.reach() as f32).to_radians();
     let session = Session::new(mask.clone(), Domain::Hemisphere { reach }, planner, args.lights);
     let options = Options {
         exposures: args.exposures.iter().map(|ms| ms / 1000.0).collect(),
@@ -466,50 +500,45 @@ fn session(
         auto_home: !args.no_home,
         ..Options::default()
     };
+    let mut record = Record::new(&args.object, &args.planner, args.seed, args.lights, arm);
+    record.firmware = format!("Grbl {}", driver.link().version());
+    (record.crop, record.sphere) = (crop, ball);
+    match &source {
+        Source::Simulated { mount, .. } => {
+            let (object, material) = (args.object.clone(), args.material.clone());
+            record.camera = SimulatedView { object, material, size: args.size, mount: *mount }.to_string();
+        }
+        Source::Folder { black, white, .. } => {
+            record.camera.clone_from(&args.camera);
+            (record.black, record.white) = (Some(*black), *white);
+        }
+    }
+    record.model = setup.learned.and_then(|l| l.network(&args.planner, reach));
+    (record.brightness, record.reach, record.nearby) = (Some(args.brightness), Some(args.reach), args.nearby);
+    record.dark = Some(args.dark);
     let mut capture = match resumed {
-        Some(resumed) => {
-            let r = &resumed.record;
-            let plan = (r.planner.as_str(), r.lights, r.seed);
-            let rig = (r.brightness.unwrap_or(args.brightness), r.reach.unwrap_or(args.reach));
-            let nearby = if r.reach.is_some() { r.nearby } else { args.nearby };
-            if plan != (args.planner.as_str(), args.lights, args.seed)
-                || (rig, nearby) != ((args.brightness, args.reach), args.nearby)
-            {
-                let nearby = nearby.map(|d| format!(" --nearby {d}")).unwrap_or_default();
-                bail!(
-                    "the session was begun with --planner {} -t {} --seed {} --brightness {} --reach {}{nearby}: say the same",
-                    r.planner,
-                    r.lights,
-                    r.seed,
-                    rig.0,
-                    rig.1
+        Some(mut resumed) => {
+            check_same(&resumed.record, &record)?;
+            if resumed.record.camera != record.camera {
+                eprintln!(
+                    "warning: until now the camera was {}, now it is {}",
+                    resumed.record.camera, record.camera
                 );
             }
             for name in &resumed.damaged {
                 eprintln!("warning: {name} is damaged or gone and will be taken again");
             }
             println!("going on after {} of {} lights", resumed.seen.len(), args.lights);
+            // The same, or not recorded before. Crop, sphere and arm stay those of the first light.
+            let Record { firmware, camera, model, brightness, reach, nearby, black, white, dark, .. } =
+                record;
+            let now = resumed.record;
+            resumed.record =
+                Record { firmware, camera, model, brightness, reach, nearby, black, white, dark, ..now };
             Capture::resume(session, resumed, options)?
         }
-        None => {
-            let mut record = Record::new(&args.object, &args.planner, args.seed, args.lights, arm);
-            record.crop = crop;
-            record.sphere = ball;
-            Capture::new(session, record, options)
-        }
+        None => Capture::new(session, record, options),
     };
-    capture.record_mut().firmware = format!("Grbl {}", driver.link().version());
-    capture.record_mut().camera = match &source {
-        Source::Simulated { mount, .. } => {
-            let (object, material) = (args.object.clone(), args.material.clone());
-            SimulatedView { object, material, size: args.size, mount: *mount }.to_string()
-        }
-        Source::Folder { .. } => args.camera.clone(),
-    };
-    capture.record_mut().model = setup.learned.and_then(|l| l.network(&args.planner, reach));
-    capture.record_mut().brightness = Some(args.brightness);
-    capture.record_mut().reach = Some(args.reach);
-    capture.record_mut().nearby = args.nearby;
     write_files(&args.out, &capture.opening_writes()?)?;
     if let Some(truth) = truth {
         write_files(
@@ -540,6 +569,54 @@ fn session(
         }
     }
     Ok(ended)
+}
+
+/// The options that pictures of one session have in common, by name, as far as its record knows them.
+fn common(record: &Record) -> BTreeMap<&'static str, String> {
+    fn given<T: ToString>(name: &'static str, value: Option<T>) -> (&'static str, String) {
+        (name, value.map_or_else(|| format!("no {name}"), |v| format!("{name} {}", v.to_string())))
+    }
+    let r = record;
+    let mut options = BTreeMap::from([
+        given("--object", Some(&r.object)),
+        given("--planner", Some(&r.planner)),
+        given("-t", Some(r.lights)),
+        given("--seed", Some(r.seed)),
+        // One camera may save to another folder by now.
+        given("--camera", Some(if r.camera.starts_with("sim") { "sim" } else { "folder:DIR" })),
+    ]);
+    options.extend(r.brightness.map(|s| given("--brightness", Some(s))));
+    if let Some(reach) = r.reach {
+        options.extend([given("--reach", Some(reach)), given("--nearby", r.nearby)]);
+    }
+    if let Some(black) = r.black {
+        options.extend([given("--black", Some(black)), given("--white", r.white)]);
+    }
+    options.extend(r.dark.map(|dark| ("--dark", if dark { "--dark" } else { "no --dark" }.into())));
+    if let Some(SimulatedView { material, size, mount, .. }) = SimulatedView::parse(&r.camera) {
+        let Mount { azimuth, slant, tilt: [x, y] } = mount;
+        let askew = (mount != Mount::default()).then(|| format!("{azimuth},{slant},{x},{y}"));
+        options.extend([
+            given("--material", Some(material)),
+            given("--size", Some(size)),
+            given("--misaligned", askew),
+        ]);
+    }
+    options
+}
+
+/// Refuses to go on with a session whose pictures would be of something else.
+fn check_same(begun: &Record, now: &Record) -> anyhow::Result<()> {
+    let after = common(now);
+    let differ = |(name, said): (&str, String)| {
+        let now = after.get(name).filter(|now| **now != said)?;
+        Some((said, now.as_str()))
+    };
+    let (said, now): (Vec<String>, Vec<&str>) = common(begun).into_iter().filter_map(differ).unzip();
+    if !said.is_empty() {
+        bail!("the session was begun with {} (now {}): say the same", said.join(", "), now.join(", "));
+    }
+    Ok(())
 }
 
 fn read_mask(path: &Path) -> anyhow::Result<Mask> {
@@ -667,4 +744,57 @@ fn budget(capture: &Capture) {
         mean(|t| t.merge),
         mean(|t| t.solve),
     );
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_in_names_are_counted() {
+        let sorted = |names: &[&str]| {
+            let mut paths: Vec<PathBuf> = names.iter().map(|n| Path::new("cam").join(n)).collect();
+            paths.sort_by_key(|p| counted(p));
+            paths.iter().map(|p| p.file_name().unwrap().to_str().unwrap().to_string()).collect::<Vec<_>>()
+        };
+        for order in [
+            &["img9.png", "img10.png", "img11.png"][..],
+            &["DSC_0099-2.tif", "DSC_0099-10.tif", "DSC_0100-1.tif"],
+            &["capt.png", "capt1.png", "capt02.png", "capt3.png"],
+            &["20261124235959123456789.png", "20261124235959123456790.png", "120261124235959123456789.png"],
+            &["007.png", "07.png", "7.png", "8.png"],
+        ] {
+            let turned: Vec<&str> = order.iter().rev().copied().collect();
+            assert_eq!(sorted(&turned), order);
+        }
+    }
+
+    #[test]
+    fn a_session_goes_on_with_the_options_it_was_begun_with() {
+        let mut begun = Record::new("bust", "tk22", 1, 8, Arm::default());
+        begun.camera = "folder:/cam".into();
+        (begun.reach, begun.dark, begun.black) = (Some(75.0), Some(true), Some(16));
+        let refused = |now: &Record| check_same(&begun, now).unwrap_err().to_string();
+        let other = Record { white: Some(4095), dark: Some(false), ..begun.clone() };
+        assert_eq!(
+            refused(&other),
+            "the session was begun with --dark, no --white (now no --dark, --white 4095): say the same"
+        );
+        let simulated = Record { camera: "sim bust+lambert:0.8 96 0 0 0 0".into(), ..begun.clone() };
+        assert!(refused(&simulated).contains("--camera folder:DIR (now --camera sim)"));
+        let askew = Record { camera: "sim bust+lambert:0.8 64 4 -2 1.5 -1".into(), ..begun.clone() };
+        assert!(
+            check_same(&askew, &simulated)
+                .unwrap_err()
+                .to_string()
+                .contains("--misaligned 4,-2,1.5,-1, --size 64 (now no --misaligned, --size 96)")
+        );
+        assert!(check_same(&begun, &Record { camera: "folder:/elsewhere".into(), ..begun.clone() }).is_ok());
+        // Sessions from before did not say these.
+        let mut old = serde_json::to_value(&begun).unwrap();
+        for field in ["black", "white", "dark", "reach", "nearby", "brightness"] {
+            old.as_object_mut().unwrap().remove(field);
+        }
+        assert!(check_same(&serde_json::from_value(old).unwrap(), &other).is_ok());
+    }
 }
