@@ -6,7 +6,7 @@ use super::{direction, directions, fail, flat, mask_of};
 use crate::camera::{Camera, Observation};
 use crate::dataset::lp::write_lp;
 use crate::error;
-use crate::eval::plot;
+use crate::eval::{Score, plot};
 use crate::light;
 use crate::relight::{Lookup, StackCamera};
 use crate::solve::{self, Measurements, Validity, uncertainty};
@@ -186,6 +186,11 @@ pub struct Solution {
 impl Solution {
     pub(super) fn of(of: &Rc<Prepared>, solution: solve::Solution, errors: Option<error::ErrorMap>) -> Self {
         Self { of: Rc::clone(of), solution, errors }
+    }
+
+    pub(super) fn score(&self) -> Score {
+        let mae = self.mae();
+        Score { mae, predicted: if mae.is_none() { self.expected_error() } else { None } }
     }
 
     fn mask(&self) -> &Mask {
