@@ -178,6 +178,19 @@ fn fewer_candidates_than_lights_is_a_clear_error() {
 }
 
 #[test]
+fn a_direction_photographed_twice_is_two_candidates() {
+    let cap = Cap::new(3, None);
+    let mut lights = fibonacci_cap(6, 0.75);
+    lights.extend_from_within(..4);
+    let domain = Domain::Candidates(lights.clone());
+    for (name, count) in cases().filter(|&(_, t)| t == 10) {
+        let chosen = directions(&cap, name, &domain, count, 0).unwrap_or_else(|e| panic!("{name}: {e}"));
+        let times = |list: &[Vec3], d: Vec3| list.iter().filter(|c| **c == d).count();
+        assert!(lights.iter().all(|&d| times(&chosen, d) == times(&lights, d)), "{name}: {chosen:?}");
+    }
+}
+
+#[test]
 fn draws_differ_where_the_planner_has_any_freedom() {
     let cap = Cap::new(6, None);
     let domain = Domain::Hemisphere { reach: FRAC_PI_2 };

@@ -2,6 +2,7 @@
 
 use super::{DatasetError, Files, Limits, check_name};
 use std::io::{Cursor, Read};
+use std::path::Path;
 use std::sync::Arc;
 use zip::ZipArchive;
 
@@ -23,6 +24,8 @@ impl AsRef<[u8]> for Shared {
 /// The files of a zip archive in memory.
 #[derive(Clone, Debug)]
 pub struct Zip {
+    /// The archive's own name, without ".zip".
+    stem: String,
     archive: ZipArchive<Cursor<Shared>>,
     /// Sorted; the entry number of each is in `entries`.
     names: Vec<String>,
@@ -31,7 +34,7 @@ pub struct Zip {
 }
 
 impl Zip {
-    /// Opens the archive and checks its directory. `file` is its name, for messages.
+    /// Opens the archive and checks its directory. `file` is its name, for messages and for an object at its root.
     ///
     /// # Errors
     /// [`DatasetError::Unreadable`] for what is no zip, is encrypted or damaged; [`DatasetError::UnsafeName`],
@@ -72,7 +75,8 @@ impl Zip {
         }
         found.sort_unstable();
         let (names, entries) = found.into_iter().unzip();
-        Ok(Self { archive, names, entries, limits: *limits })
+        let stem = Path::new(file).file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        Ok(Self { stem, archive, names, entries, limits: *limits })
     }
 }
 
@@ -83,6 +87,10 @@ fn bomb(file: &str, problem: String) -> DatasetError {
 impl Files for Zip {
     fn names(&self) -> &[String] {
         &self.names
+    }
+
+    fn root(&self) -> &str {
+        &self.stem
     }
 
     fn read(&self, name: &str) -> Result<Vec<u8>, DatasetError> {

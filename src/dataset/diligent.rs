@@ -29,7 +29,7 @@ const TRUTH_PNG: &str = "Normal_gt.png";
 pub struct Header {
     /// Folder of the object; empty where it is the root.
     pub dir: String,
-    /// Object name: the folder's name without DiLiGenT's "PNG".
+    /// Object name: the folder's or, at its root, the archive's name without DiLiGenT's "PNG".
     pub name: String,
     /// The object's pixels.
     pub mask: Mask,
@@ -138,7 +138,7 @@ impl Header {
             });
         }
         let truth = folder.truth(&mask, &mut warnings)?;
-        let name = object_name(dir);
+        let name = object_name(files, dir);
         if name == "bear" && images.len() == 96 {
             warnings.push(Warning::BadFirstImages { images: 20 });
         }
@@ -263,9 +263,10 @@ pub fn normals_mat(variable: &str, mask: &Mask, normals: &[Vec3]) -> Vec<u8> {
     mat::write_array(variable, &mat::Array { dims: vec![height, width, 3], values })
 }
 
-/// Name of the object in a folder: "pmsData/ballPNG" → "ball".
+/// Name of the object in a folder of `files`: "pmsData/ballPNG" → "ball"; that of `files` themselves at their root.
 #[must_use]
-pub fn object_name(dir: &str) -> String {
+pub fn object_name(files: &dyn Files, dir: &str) -> String {
+    let dir = if dir.is_empty() { files.root() } else { dir };
     let last = dir.rsplit('/').next().unwrap_or(dir);
     let name = last.strip_suffix("PNG").filter(|n| !n.is_empty()).unwrap_or(last);
     if name.is_empty() { "object".into() } else { name.into() }

@@ -29,6 +29,11 @@ pub trait Files: Sync {
     /// [`DatasetError::Missing`] for another name, or why the file can't be read.
     fn read(&self, name: &str) -> Result<Vec<u8>, DatasetError>;
 
+    /// Name of what holds the files, where none of theirs begins with it: that of an object at the root. Empty where unknown.
+    fn root(&self) -> &str {
+        ""
+    }
+
     /// Whether the name is there.
     fn has(&self, name: &str) -> bool {
         self.names().binary_search_by(|n| n.as_str().cmp(name)).is_ok()

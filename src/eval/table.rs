@@ -1,6 +1,6 @@
 //! The table: every planner, solver, number of lights and look-up on every object, repeated.
 //!
-//! [`Settings::runs`] lists the runs, [`run`] makes one (the command line in threads, the page in its worker), and
+//! [`Settings::runs_on`] lists the runs, [`run`] makes one (the command line in threads, the page in its worker), and
 //! [`rows`] sums the runs of one object up. The JSON of a [`Report`] is documented in `benchmarks/results.schema.json`.
 
 use super::Protocol;
@@ -146,7 +146,7 @@ impl Settings {
         Ok(())
     }
 
-    /// Every run to make on one object, in the order of the table.
+    /// Every run to make on a stack, in the order of the table.
     ///
     /// # Errors
     /// [`SettingsError`], as [`Settings::check`].
@@ -171,6 +171,18 @@ impl Settings {
                     }
                 }
             }
+        }
+        Ok(runs)
+    }
+
+    /// [`runs`](Self::runs) of this object. A rendered one has no look-up: more than one would be the same again.
+    ///
+    /// # Errors
+    /// [`SettingsError`], as [`Settings::check`].
+    pub fn runs_on(&self, subject: &Subject) -> Result<Vec<RunSpec>, SettingsError> {
+        let mut runs = self.runs()?;
+        if let (Subject::Scene { .. }, Some(first)) = (subject, runs.first().map(|run| run.lookup)) {
+            runs.retain(|run| run.lookup == first);
         }
         Ok(runs)
     }
@@ -498,7 +510,7 @@ pub fn failed_rows(object: &str, settings: &Settings, error: &str) -> Result<Vec
 /// [`SettingsError`] for settings that can't be run; a run that fails is a row with an error.
 pub fn evaluate(subject: &Subject, settings: &Settings) -> Result<Vec<Row>, SettingsError> {
     let runs: Vec<_> = settings
-        .runs()?
+        .runs_on(subject)?
         .into_iter()
         .map(|spec| {
             let mut made = run(subject, &spec, &settings.solvers, None);
@@ -511,7 +523,7 @@ pub fn evaluate(subject: &Subject, settings: &Settings) -> Result<Vec<Row>, Sett
     Ok(rows(subject, settings, &runs))
 }
 
-/// Sums up the runs of one object (in the order of [`Settings::runs`]): one row for each combination.
+/// Sums up the runs of one object (in the order of [`Settings::runs_on`]): one row for each combination.
 #[must_use]
 pub fn rows(
     subject: &Subject,
@@ -771,6 +783,23 @@ mod tests {
         let report = Report::new(s, results);
         assert_eq!(report.means.len(), 2);
         assert!((report.means[1].mae.unwrap() - report.results[1].mae.unwrap()).abs() < 1e-9);
+    }
+
+    #[cfg(feature = "render")]
+    #[test]
+    fn a_scene_is_counted_once_whatever_the_lookups() {
+        use crate::render::{Options, SceneCamera, worlds};
+        let options = Options { size: 16, bounces: 0, ..Options::default() };
+        let scene = worlds::objects("sphere+lambert:0.8").unwrap()[0].scene(&options).unwrap();
+        let camera = SceneCamera::new(&scene);
+        let subject =
+            Subject::Scene { name: "ball", camera: &camera, truth: Some(scene.truth()), reach: 1.0 };
+        let mut s = settings();
+        (s.planners, s.lights) = (vec!["dc05".into(), "all".into()], vec![5]);
+        assert_eq!(s.lookups.len(), 2);
+        let rows = evaluate(&subject, &s).unwrap();
+        assert!(rows.len() == 2 && rows.iter().all(|r| r.lookup == "exact"), "{rows:?}");
+        assert!(Report::new(s, rows).means.is_empty());
     }
 
     #[cfg(feature = "render")]

@@ -31,10 +31,16 @@ pub struct View<'a> {
 }
 
 impl View<'_> {
-    /// The candidates not asked for yet, as (index, direction); empty on a continuous domain.
+    /// The candidates not asked for yet, as (index, direction), each direction once; empty on a continuous domain.
     pub fn free_candidates(&self) -> impl Iterator<Item = (usize, Vec3)> {
         let all = self.domain.candidates().unwrap_or_default();
-        all.iter().copied().enumerate().filter(|(_, c)| !self.seen.iter().any(|o| o.requested == *c))
+        all.iter().copied().enumerate().filter(|&(i, _)| self.is_free(all, i))
+    }
+
+    /// Whether number `i` of `all` is the next to ask for: a direction that is there twice is two photos, taken in their order.
+    fn is_free(&self, all: &[Vec3], i: usize) -> bool {
+        let before = all[..i].iter().filter(|c| **c == all[i]).count();
+        before == self.seen.iter().filter(|o| o.requested == all[i]).count()
     }
 
     /// What a finite set has for `wish`: the nearest candidate not asked for yet.

@@ -2,7 +2,7 @@
 //! ground truth, so it is no planner but the line that none should be able to cross.
 
 use super::{PlanError, Planner, View, ascend};
-use crate::camera::{Camera, Domain};
+use crate::camera::{Camera, Domain, Observation};
 use crate::error::unit_angle;
 use crate::light;
 use crate::solve::least_squares::NormalEquations;
@@ -18,8 +18,8 @@ pub struct Oracle<'a> {
     start: Vec3,
     continuous: bool,
     equations: NormalEquations,
-    /// Candidates with their images, taken once.
-    images: Option<Vec<(Vec3, Vec<f32>, Vec3)>>,
+    /// Candidates, and their pictures, taken once.
+    images: Option<(Vec<Vec3>, Vec<Observation>)>,
 }
 
 impl<'a> Oracle<'a> {
@@ -37,16 +37,17 @@ impl<'a> Oracle<'a> {
         sum
     }
 
-    fn take_images(&self, candidates: &[Vec3]) -> Result<Vec<(Vec3, Vec<f32>, Vec3)>, PlanError> {
-        candidates
-            .iter()
-            .map(|&c| match self.camera.capture(c, &[]) {
-                Ok(o) => Ok((c, o.grey, o.light)),
-                Err(e) => {
-                    Err(PlanError::Needs { planner: "oracle", what: format!("every candidate's image: {e}") })
-                }
-            })
-            .collect()
+    fn take_images(&self, candidates: Vec<Vec3>) -> Result<(Vec<Vec3>, Vec<Observation>), PlanError> {
+        let mut images: Vec<Observation> = Vec::with_capacity(candidates.len());
+        for &c in &candidates {
+            // The second time that a direction is there, it stands for its second photo.
+            let before: Vec<Observation> = images.iter().filter(|o| o.requested == c).cloned().collect();
+            let failed =
+                |e| PlanError::Needs { planner: "oracle", what: format!("every candidate's image: {e}") };
+            let image = self.camera.capture(c, &before).map_err(failed)?;
+            images.push(Observation { requested: c, rgb: Vec::new(), ..image });
+        }
+        Ok((candidates, images))
     }
 }
 
@@ -57,23 +58,22 @@ impl Planner for Oracle<'_> {
             return super::first(view, self.start);
         };
         self.equations.add(last.light, &last.grey);
-        let images = match self.images.take() {
+        let (candidates, images) = match self.images.take() {
             Some(images) => images,
-            None => match view.domain {
-                Domain::Candidates(all) => self.take_images(all)?,
-                Domain::Hemisphere { reach } => {
-                    self.take_images(&light::fibonacci_cap(ORACLE_CANDIDATES, *reach))?
-                }
-            },
+            None => self.take_images(match view.domain {
+                Domain::Candidates(all) => all.clone(),
+                Domain::Hemisphere { reach } => light::fibonacci_cap(ORACLE_CANDIDATES, *reach),
+            })?,
         };
         let best = images
             .iter()
-            .filter(|(c, ..)| !view.seen.iter().any(|o| o.requested == *c))
-            .map(|(c, image, l)| (*c, self.error_with(*l, image)))
+            .enumerate()
+            .filter(|&(i, _)| view.is_free(&candidates, i))
+            .map(|(_, o)| (o.requested, self.error_with(o.light, &o.grey)))
             .reduce(|best, next| if next.1 < best.1 { next } else { best })
             .map(|(c, _)| c);
         let count = images.len();
-        self.images = Some(images);
+        self.images = Some((candidates, images));
         let best = best.ok_or(PlanError::TooFewCandidates { candidates: count, lights: view.lights })?;
         match view.domain {
             Domain::Hemisphere { reach } if self.continuous => Ok(ascend(&[best], *reach, view.seen, |c| {

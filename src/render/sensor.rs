@@ -103,7 +103,7 @@ pub fn photo(linear: &[[f32; 3]], white: f32, sensor: &Sensor, seed: u64, k: usi
 
 /// The stack of a scene under `lights`, as a rig would store it: 16-bit code values, all at one exposure.
 ///
-/// Code value / 65535 / light intensity is the scene's linear value.
+/// Code value / 65535 / light intensity is the scene's linear value, over that of the exposure's white where it is above 1.
 #[must_use]
 pub fn stack(scene: &Scene, lights: &[Vec3], sensor: &Sensor, seed: u64) -> RawStack {
     let white = white_level(scene, SATURATED);
@@ -122,7 +122,8 @@ pub fn assemble(scene: &Scene, lights: &[Vec3], white: f32, images: Vec<Vec<[u16
         images,
         names: (1..=lights.len()).map(|k| format!("{k:03}.png")).collect(),
         lights: lights.to_vec(),
-        intensities: vec![[1.0 / white; 3]; lights.len()],
+        // An intensity below 1 would lift values above 1, where protocol `official` clips.
+        intensities: vec![[1.0 / white.min(1.0); 3]; lights.len()],
         truth: Some(scene.truth().to_vec()),
     }
 }
@@ -148,6 +149,19 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn a_glossy_stack_keeps_its_codes_in_the_official_protocol() {
+        let scene = worlds::objects("blob:7+ggx:0.3").unwrap()[0]
+            .scene(&Options { size: 32, bounces: 0, ..Options::default() })
+            .unwrap();
+        assert!(white_level(&scene, SATURATED) > 1.5);
+        let raw = stack(&scene, &fibonacci_cap(24, 1.2), &Sensor::IDEAL, 1);
+        let seen = crate::eval::Protocol::Official.apply(&raw).unwrap();
+        let saturated = raw.images.iter().flatten().filter(|px| **px == [65535; 3]).count();
+        let clipped = seen.grey.iter().flatten().filter(|v| **v > 0.9998).count();
+        assert_eq!(clipped, saturated);
     }
 
     #[test]

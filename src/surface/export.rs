@@ -162,7 +162,7 @@ impl Surface {
         out
     }
 
-    /// One buffer: positions, normals, colours where there are any, indices.
+    /// One buffer: positions, normals, colours where there are any, indices. Without triangles its vertices are points.
     fn glb(&self) -> Vec<u8> {
         let mut binary: Vec<u8> = Vec::new();
         let mut views = Vec::new();
@@ -175,6 +175,7 @@ impl Surface {
         };
         const VERTICES: u32 = 34962;
         const INDICES: u32 = 34963;
+        const POINTS: u32 = 0;
         let floats = |v: &[Vec3]| -> Vec<u8> {
             v.iter().flat_map(|p| p.to_array()).flat_map(f32::to_le_bytes).collect()
         };
@@ -185,8 +186,10 @@ impl Surface {
                 self.grey.iter().flat_map(|g| [*g, *g, *g]).flat_map(f32::to_le_bytes).collect();
             view(&mut binary, &colours, VERTICES);
         }
-        let indices: Vec<u8> = self.triangles.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
-        view(&mut binary, &indices, INDICES);
+        if !self.triangles.is_empty() {
+            let indices: Vec<u8> = self.triangles.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
+            view(&mut binary, &indices, INDICES);
+        }
         let (low, high) = self
             .positions
             .iter()
@@ -204,16 +207,22 @@ impl Surface {
             attributes["COLOR_0"] = serde_json::json!(accessors.len());
             accessors.push(vectors(accessors.len()));
         }
-        let last = accessors.len();
-        accessors.push(serde_json::json!({
-            "bufferView": last, "componentType": 5125, "count": 3 * self.triangles.len(), "type": "SCALAR"
-        }));
+        let mut primitive = serde_json::json!({"attributes": attributes, "material": 0});
+        if self.triangles.is_empty() {
+            primitive["mode"] = serde_json::json!(POINTS); // glTF has no empty views and accessors
+        } else {
+            let last = accessors.len();
+            primitive["indices"] = serde_json::json!(last);
+            accessors.push(serde_json::json!({
+                "bufferView": last, "componentType": 5125, "count": 3 * self.triangles.len(), "type": "SCALAR"
+            }));
+        }
         let document = serde_json::json!({
             "asset": {"version": "2.0", "generator": "coil-ps"},
             "scene": 0,
             "scenes": [{"nodes": [0]}],
             "nodes": [{"mesh": 0}],
-            "meshes": [{"primitives": [{"attributes": attributes, "indices": last, "material": 0}]}],
+            "meshes": [{"primitives": [primitive]}],
             "materials": [{
                 "doubleSided": true,
                 "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.9}
@@ -276,9 +285,8 @@ mod tests {
         assert_eq!(bytes.len() - end, 6 * (24 + 3) + 2 * 13);
     }
 
-    #[test]
-    fn glb_chunks_fit_together() {
-        let bytes = square().write(Format::Glb);
+    /// The JSON of a .glb whose chunks fit together.
+    fn document(bytes: &[u8]) -> serde_json::Value {
         let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
         assert_eq!((&bytes[..4], word(4), word(8)), (&b"glTF"[..], 2, bytes.len()));
         let json = word(12);
@@ -286,7 +294,28 @@ mod tests {
         let binary = word(20 + json);
         assert_eq!(document["buffers"][0]["byteLength"], binary);
         assert_eq!(20 + json + 8 + binary, bytes.len());
+        document
+    }
+
+    #[test]
+    fn glb_chunks_fit_together() {
+        let document = document(&square().write(Format::Glb));
+        assert_eq!(document["meshes"][0]["primitives"][0]["indices"], 3);
         assert_eq!(document["accessors"][3]["count"], 6);
         assert_eq!(document["accessors"][0]["max"][2], 40.0);
+    }
+
+    #[test]
+    fn glb_without_triangles_is_points() {
+        for (mask, grey) in [(Mask::full(1, 1), &[0.5][..]), (Mask::full(4, 1), &[])] {
+            let mask = mask.unwrap();
+            let (heights, normals) = (vec![0.0; mask.len()], vec![Vec3::Z; mask.len()]);
+            let bytes = Surface::new(&mask, &heights, &normals, grey, 10.0).write(Format::Glb);
+            let document = document(&bytes);
+            let primitive = &document["meshes"][0]["primitives"][0];
+            assert!(primitive["mode"] == 0 && primitive["indices"].is_null(), "{primitive}");
+            let all = |list: &str, key: &str| document[list].as_array().unwrap().iter().all(|v| v[key] != 0);
+            assert!(all("bufferViews", "byteLength") && all("accessors", "count"));
+        }
     }
 }

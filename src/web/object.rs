@@ -42,7 +42,7 @@ impl ObjectFiles {
         Self(Source::Folder(Memory::new()))
     }
 
-    /// The files of a zip archive; `name` is that of the archive, for messages.
+    /// The files of a zip archive; `name` is that of the archive, for messages and for an object at its root.
     pub fn zip(bytes: Vec<u8>, name: &str) -> Result<ObjectFiles, JsError> {
         Zip::new(bytes, name, &Limits::default()).map(|zip| Self(Source::Archive(zip))).map_err(fail)
     }
@@ -74,7 +74,7 @@ impl ObjectFiles {
     pub fn names(&self) -> Vec<String> {
         let mut names = Vec::new();
         for folder in self.objects() {
-            let name = diligent::object_name(&folder);
+            let name = diligent::object_name(self.files(), &folder);
             let bear = name == "bear";
             names.push(name);
             if bear {
@@ -90,7 +90,7 @@ impl ObjectFiles {
     pub fn folder_of(&self, name: &str) -> String {
         let name = if name == protocol::BEAR76 { "bear" } else { name };
         let mut folders = self.objects();
-        let place = folders.iter().position(|folder| diligent::object_name(folder) == name).unwrap_or(0);
+        let place = folders.iter().position(|f| diligent::object_name(self.files(), f) == name).unwrap_or(0);
         // Where there is no object at all, reading the top folder says what is missing.
         if folders.is_empty() { String::new() } else { folders.swap_remove(place) }
     }

@@ -66,7 +66,7 @@ pub fn run(args: EvalArgs) -> anyhow::Result<ExitCode> {
         seed: args.seed,
         stop_at: args.stop_at.map(|stop| stop.degrees),
     };
-    let runs = settings.runs()?;
+    settings.check()?;
     let models = args.models.load(&settings.planners)?;
     for planner in &settings.planners {
         let most = settings.lights.iter().copied().max().unwrap_or(0);
@@ -87,8 +87,10 @@ pub fn run(args: EvalArgs) -> anyhow::Result<ExitCode> {
             }
         };
         let reach = args.selection.reach.to_radians();
-        let (rows, written) = object
-            .with_subject(reach, |subject| evaluate(subject, &runs, &settings, &models, args.out.as_deref()));
+        let (rows, written) = object.with_subject(reach, |subject| {
+            let runs = settings.runs_on(subject)?;
+            anyhow::Ok(evaluate(subject, &runs, &settings, &models, args.out.as_deref()))
+        })?;
         results.extend(rows);
         if unwritten.is_ok() {
             unwritten = written;

@@ -63,7 +63,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
             }
         };
         for dir in &source.objects {
-            let name = names.distinct(&object_name(dir));
+            let name = names.distinct(&object_name(source.files.as_ref(), dir));
             match export(source.files.as_ref(), dir, name, &limits, &args) {
                 Ok(written) => println!("{}: {written}", source.place(dir)),
                 Err(e) => {

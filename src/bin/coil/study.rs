@@ -68,7 +68,7 @@ struct StudyReport {
 struct Entry {
     object: String,
     k: usize,
-    /// MAE in degrees at each of `lights`; null where there are less candidates than lights.
+    /// MAE in degrees at each of `lights`; null where the candidates are, or lead to, less photos than lights.
     mae: Vec<Option<f64>>,
     #[serde(skip_serializing_if = "Option::is_none")]
     error: Option<String>,
