@@ -1,4 +1,4 @@
-//! What every planner must do (shared/spec/planners.md): unit length, z ≥ 0, T distinct lights, the same for the same
+//! What every planner must do: unit length, z ≥ 0, T distinct lights, the same for the same
 //! seed, and defined behaviour on black and saturated frames, a one-pixel mask and too few candidates.
 
 use coil_ps::camera::{Camera, CameraError, Domain, Observation};

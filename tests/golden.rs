@@ -21,7 +21,7 @@ fn table(object: &str, protocol: Protocol, planners: &[&str], draws: usize) -> O
     Some(evaluate(&Subject::Stack(&stack), &settings).unwrap())
 }
 
-/// Least squares over all 96 lights, official protocol: shared/data/README.md.
+/// Least squares over all 96 lights, official protocol (docs/evaluation.md).
 #[test]
 fn least_squares_on_all_lights_is_as_published() {
     for (object, published, tolerance) in [
@@ -39,7 +39,7 @@ fn least_squares_on_all_lights_is_as_published() {
     }
 }
 
-/// Protocol 128, T = 10: within 0.8° of the paper's entries (shared/spec/evaluation.md). 300 draws, because one draw of Random has a
+/// Protocol 128, T = 10: within 0.8° of the paper's entries (docs/evaluation.md). 300 draws, because one draw of Random has a
 /// standard deviation of 1.1° on reading.
 #[test]
 fn protocol_128_lands_near_the_papers_entries() {

@@ -185,7 +185,7 @@ mod tests {
     fn bombs_are_refused() {
         let zeros = vec![0; 4 << 20];
         assert!(matches!(open(make(&[("zeros", &zeros)])), Err(DatasetError::ZipBomb { .. })));
-        // A directory that lies: 4 MiB that claim to be 1000 bytes.
+        // A directory that lies: 1000 bytes that claim to be 10.
         let mut bytes = make(&[("zeros", &vec![7; 1000])]);
         let at = bytes.windows(4).rposition(|w| w == b"PK\x01\x02").unwrap();
         bytes[at + 24..at + 28].copy_from_slice(&10u32.to_le_bytes());

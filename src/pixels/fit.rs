@@ -126,12 +126,6 @@ impl Training {
         &self.network
     }
 
-    /// The recipe.
-    #[must_use]
-    pub fn recipe(&self) -> &Recipe {
-        &self.recipe
-    }
-
     /// One step of AdamW.
     ///
     /// # Errors

@@ -12,6 +12,7 @@ use std::collections::BTreeMap;
 pub struct Coil {
     policy: Policy,
     run: Option<Sequence>,
+    /// The network's own last direction, before it is moved to a candidate or away from a light already used.
     wish: Vec3,
     blank: bool,
 }
@@ -27,18 +28,6 @@ impl Coil {
     #[must_use]
     pub fn blank(policy: Policy, start: Vec3) -> Self {
         Self { blank: true, ..Self::new(policy, start) }
-    }
-
-    /// The network's own last direction, before it was moved to a candidate or away from a light already used.
-    #[must_use]
-    pub fn wish(&self) -> Vec3 {
-        self.wish
-    }
-
-    /// What the policy made of the pictures so far (its gate map); `None` before the first.
-    #[must_use]
-    pub fn sequence(&self) -> Option<&Sequence> {
-        self.run.as_ref()
     }
 }
 

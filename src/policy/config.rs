@@ -8,7 +8,7 @@ pub const FORMAT: u32 = 2;
 /// Fewest pictures that normals can be solved from.
 const FEWEST: usize = 3;
 
-/// Every size of the network of `policy-network.md`.
+/// Every size of the network (COIL-PS; `docs/policy.md`).
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Config {
     /// Name of the size: `paper`, `compact` or a test's own.

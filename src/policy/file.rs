@@ -104,7 +104,7 @@ pub enum ModelError {
 pub(crate) fn read(part: &'static str, bytes: &[u8]) -> Result<(pb::ModelProto, Header), ModelError> {
     let damaged = |detail: String| ModelError::Damaged { part, detail };
     let proto =
-        tract_onnx::onnx().proto_model_for_read(&mut &bytes[..]).map_err(|e| damaged(root_cause(&e)))?;
+        tract_onnx::onnx().proto_model_for_read(&mut &bytes[..]).map_err(|e| damaged(chain(&e)))?;
     let entry = |key| proto.metadata_props.iter().find(|e| e.key == key).map(|e| e.value.clone());
     let needed = |key, expected: &str| {
         entry(key).ok_or_else(|| ModelError::Foreign {
@@ -160,7 +160,7 @@ pub(crate) fn pair(encoder: &Header, step: &Header) -> Result<(), ModelError> {
     }
 }
 
-/// The innermost message of a runtime's error chain.
-pub(super) fn root_cause(error: &TractError) -> String {
+/// All messages of a runtime's error, the outermost first.
+pub(super) fn chain(error: &TractError) -> String {
     format!("{error:#}")
 }

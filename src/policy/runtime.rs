@@ -1,7 +1,7 @@
 //! Runs a trained policy: each new picture is encoded once, attention's keys and values of the earlier ones are kept.
 
 use super::config::Config;
-use super::file::{self, Header, ModelError, ModelFiles, root_cause};
+use super::file::{self, Header, ModelError, ModelFiles, chain};
 use super::frame::Frames;
 use crate::stack::Mask;
 use glam::Vec3;
@@ -43,7 +43,7 @@ impl Policy {
         let plan = |proto| -> TractResult<Plan> {
             tract_onnx::onnx().model_for_proto_model(proto)?.into_optimized()?.into_runnable()
         };
-        let run = |e: TractError| ModelError::Run(root_cause(&e));
+        let run = |e: TractError| ModelError::Run(chain(&e));
         Ok(Self {
             header,
             encoder: plan(&encoder).map_err(run)?,
@@ -144,7 +144,7 @@ impl Sequence {
         }
         self.frame = self.frames.next(rgb);
         let direction =
-            self.forward(&config, light.normalize()).map_err(|e| ModelError::Run(root_cause(&e)))?;
+            self.forward(&config, light.normalize()).map_err(|e| ModelError::Run(chain(&e)))?;
         direction.try_normalize().ok_or_else(|| ModelError::Run("the network gave no direction".into()))
     }
 

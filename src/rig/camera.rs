@@ -122,12 +122,6 @@ impl SimulatedCamera {
         Self { sensor, rng: Rng::new(seed), ball }
     }
 
-    /// The sensor.
-    #[must_use]
-    pub fn sensor(&self) -> &Sensor {
-        &self.sensor
-    }
-
     /// The part of the picture that shows the scene; `None` where it is the whole.
     #[must_use]
     pub fn crop(&self, scene: &dyn Camera) -> Option<Crop> {

@@ -8,7 +8,7 @@ use super::rollout::{Conditions, Episode, Pass, differentiate};
 use super::weights::Weights;
 use crate::light::fibonacci_cap;
 use crate::policy::config::Config;
-use crate::render::MAX_SIZE;
+use crate::render::{MAX_SIZE, RenderError};
 use crate::rng::Rng;
 use serde::{Deserialize, Serialize};
 use std::f32::consts::{FRAC_PI_2, PI};
@@ -267,7 +267,10 @@ impl Recipe {
 /// Where training objects come from: any number of them, by index, the same for the same index.
 pub trait Pool: Sync {
     /// The object of this index with a material, texture and turn drawn from `rng`; `varied`: see [`Recipe::varied`].
-    fn draw(&self, index: usize, varied: bool, rng: &mut Rng) -> Box<dyn Scene>;
+    ///
+    /// # Errors
+    /// A mesh that can't be seen from where it was turned.
+    fn draw(&self, index: usize, varied: bool, rng: &mut Rng) -> Result<Box<dyn Scene>, RenderError>;
 }
 
 /// What a step reports.
@@ -349,11 +352,13 @@ impl Trainer {
     /// One update. The number of threads doesn't change the result.
     ///
     /// # Errors
-    /// A loss or gradient that is not finite; the weights are then as they were.
+    /// A loss or gradient that is not finite, an object that can't be seen; the weights are then as they were.
     pub fn update(&mut self, pool: &dyn Pool, on: &Compute) -> Result<Report, String> {
         let solver = self.recipe.training_solver()?;
         let how = self.recipe.conditions(self.step);
-        let drawn: Vec<Drawn> = (0..self.recipe.batch).map(|b| self.draw(pool, b)).collect();
+        let drawn: Result<Vec<Drawn>, _> = (0..self.recipe.batch).map(|b| self.draw(pool, b)).collect();
+        let drawn =
+            drawn.map_err(|e| format!("update {}: an object can't be rendered: {e}", self.step + 1))?;
         let groups: Vec<&[Drawn]> = drawn.chunks(self.recipe.micro_batch).collect();
         let passes = in_parallel(groups.len(), on.threads, |g| {
             let episodes: Vec<Episode> = groups[g]
@@ -399,22 +404,22 @@ impl Trainer {
     }
 
     /// Sequence `b` of the next update: its own random numbers, whatever came before.
-    fn draw(&self, pool: &dyn Pool, b: usize) -> Drawn {
+    fn draw(&self, pool: &dyn Pool, b: usize) -> Result<Drawn, RenderError> {
         let r = &self.recipe;
         let number = self.step * r.batch as u64 + b as u64;
         let mut rng = Rng::stream(r.seed, number);
         let index = rng.below(r.objects);
         let (scene, (reach, lookup)) = if r.varied {
             let stage = self.stage(&mut Rng::stream(r.seed ^ STAGES, number));
-            (pool.draw(index, stage.0 < FRAC_PI_2, &mut rng), stage)
+            (pool.draw(index, stage.0 < FRAC_PI_2, &mut rng)?, stage)
         } else {
-            (pool.draw(index, false, &mut rng), self.stage(&mut rng))
+            (pool.draw(index, false, &mut rng)?, self.stage(&mut rng))
         };
         let lookup = match (r.tau, lookup) {
             (Some(tau), Lookup::Exact) => Lookup::Soft { tau, lights: fibonacci_cap(STORED, reach) },
             (_, lookup) => lookup,
         };
-        Drawn { scene, lookup, reach }
+        Ok(Drawn { scene, lookup, reach })
     }
 
     /// Where a sequence's lights may be: the reach, and what answers a direction.
@@ -474,8 +479,8 @@ mod tests {
 
     struct Bumps;
     impl Pool for Bumps {
-        fn draw(&self, index: usize, _: bool, rng: &mut Rng) -> Box<dyn Scene> {
-            Box::new(Bump::new(14 + index as u32, rng.range(0.0, 4.0)))
+        fn draw(&self, index: usize, _: bool, rng: &mut Rng) -> Result<Box<dyn Scene>, RenderError> {
+            Ok(Box::new(Bump::new(14 + index as u32, rng.range(0.0, 4.0))))
         }
     }
 

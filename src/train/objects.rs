@@ -119,26 +119,26 @@ impl Training {
         Object::dressed(name, Shape::Mesh(mesh.clone()), worlds::Split::Train, rng)
     }
 
-    fn bare(&self, index: usize, rolled: bool) -> Arc<Bare> {
+    fn bare(&self, index: usize, rolled: bool) -> Result<Arc<Bare>, RenderError> {
         let made = |map: &HashMap<(usize, bool), Arc<Bare>>| map.get(&(index, rolled)).cloned();
         if let Some(bare) = made(&self.made.lock().expect("no thread panicked")) {
-            return bare;
+            return Ok(bare);
         }
         let object = self.object(index, rolled);
-        let pose = Pose::fit(&object.shape, object.rotation).expect("a sculpture can be seen");
-        let view = View::new(&object.shape, &pose, self.size).expect("a sculpture can be seen");
+        let pose = Pose::fit(&object.shape, object.rotation)?;
+        let view = View::new(&object.shape, &pose, self.size)?;
         let horizon = Horizon::new(&view, AZIMUTHS);
         let (azimuths, levels) = EXCHANGE;
         let exchange = Exchange::new(&view, azimuths, levels);
         let bare = Arc::new(Bare { pose, view, horizon, exchange });
         self.made.lock().expect("no thread panicked").insert((index, rolled), bare.clone());
-        bare
+        Ok(bare)
     }
 }
 
 impl Pool for Training {
-    fn draw(&self, index: usize, varied: bool, rng: &mut Rng) -> Box<dyn Scene> {
-        let bare = self.bare(index, varied);
+    fn draw(&self, index: usize, varied: bool, rng: &mut Rng) -> Result<Box<dyn Scene>, RenderError> {
+        let bare = self.bare(index, varied)?;
         let finish = if varied && self.any_material { worlds::any_finish } else { worlds::finish };
         let finish = finish(worlds::Split::Train, rng);
         let skin = finish.skin(&bare.view, &bare.pose);
@@ -154,7 +154,7 @@ impl Pool for Training {
         };
         let seed = rng.next_u64();
         let rig = if varied { Tolerances::any(rng, COLLIMATED, NEAREST) } else { Tolerances::RIG };
-        Box::new(Real::new(scene, rig, seed))
+        Ok(Box::new(Real::new(scene, rig, seed)))
     }
 }
 
@@ -246,7 +246,8 @@ mod tests {
     fn the_pool_repeats_itself() {
         let new = || Training::new(20, 0.05, Vec::new()).unwrap();
         let pool = new();
-        let draw = |pool: &Training| pool.draw(3, true, &mut Rng::new(8)).image(Vec3::new(0.6, 0.0, 0.8));
+        let draw =
+            |pool: &Training| pool.draw(3, true, &mut Rng::new(8)).unwrap().image(Vec3::new(0.6, 0.0, 0.8));
         assert_eq!(draw(&pool), draw(&pool));
         assert_eq!(draw(&pool), draw(&new()));
     }
@@ -257,7 +258,7 @@ mod tests {
         let (measured, any) = (new(), new().of_any_material(true));
         let differ = |varied: bool| {
             let draw = |pool: &Training, i| {
-                pool.draw(i, varied, &mut Rng::new(i as u64)).image(Vec3::new(0.6, 0.0, 0.8))
+                pool.draw(i, varied, &mut Rng::new(i as u64)).unwrap().image(Vec3::new(0.6, 0.0, 0.8))
             };
             (0..4).filter(|&i| draw(&measured, i) != draw(&any, i)).count()
         };

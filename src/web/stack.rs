@@ -64,12 +64,6 @@ impl Stack {
         self.0.stack.mask.len()
     }
 
-    /// Positions of the object's pixels in the image, row by row from the top left.
-    #[must_use]
-    pub fn positions(&self) -> Vec<u32> {
-        self.0.stack.mask.indices().to_vec()
-    }
-
     /// The object's pixels: a byte for each pixel of the image, 1 or 0. `integrateNormals` takes it.
     #[must_use]
     pub fn mask(&self) -> Vec<u8> {
