@@ -103,8 +103,7 @@ pub enum ModelError {
 /// Reads a part and checks what it says of itself.
 pub(crate) fn read(part: &'static str, bytes: &[u8]) -> Result<(pb::ModelProto, Header), ModelError> {
     let damaged = |detail: String| ModelError::Damaged { part, detail };
-    let proto =
-        tract_onnx::onnx().proto_model_for_read(&mut &bytes[..]).map_err(|e| damaged(chain(&e)))?;
+    let proto = tract_onnx::onnx().proto_model_for_read(&mut &bytes[..]).map_err(|e| damaged(chain(&e)))?;
     let entry = |key| proto.metadata_props.iter().find(|e| e.key == key).map(|e| e.value.clone());
     let needed = |key, expected: &str| {
         entry(key).ok_or_else(|| ModelError::Foreign {

@@ -143,8 +143,7 @@ impl Sequence {
             )));
         }
         self.frame = self.frames.next(rgb);
-        let direction =
-            self.forward(&config, light.normalize()).map_err(|e| ModelError::Run(chain(&e)))?;
+        let direction = self.forward(&config, light.normalize()).map_err(|e| ModelError::Run(chain(&e)))?;
         direction.try_normalize().ok_or_else(|| ModelError::Run("the network gave no direction".into()))
     }
 
