@@ -65,7 +65,7 @@ export function solverLabel(solver) {
 
 /** A mean error for people; one that is only predicted says so, and no more than is known. @param {number} degrees @param {boolean} known */
 export function errorText(degrees, known, digits = 2) {
-  return known ? `${degrees.toFixed(digits)}°` : `≈ ${degrees.toFixed(1)}°`;
+  return known ? `${degrees.toFixed(digits)}°` : `≈${degrees.toFixed(1)}°`;
 }
 
 /**
