@@ -4,7 +4,7 @@ use super::stack::{Prepared, Solution, Stack};
 use super::tiles::Tiles;
 use super::{fail, plain};
 use crate::camera::Observation;
-use crate::eval::{Report, Run, RunSpec, Score, Settings, Subject, table};
+use crate::eval::{Report, Run, RunSpec, Score, Settings, Subject, run, table};
 use crate::planner::{Learned, PLANNERS};
 use crate::session::SessionError;
 use crate::solve::{self, Measurements, SOLVERS, pixel};
@@ -129,7 +129,7 @@ impl Evaluation {
         };
         let in_pieces = settings.solvers.iter().position(|name| name == pixel::NAME);
         let at_once: Vec<String> = settings.solvers.iter().filter(|n| *n != pixel::NAME).cloned().collect();
-        let run = table::run_watched(
+        let run = run::run_watched(
             &Subject::Stack(&of.stack),
             &spec,
             &at_once,

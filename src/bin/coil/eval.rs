@@ -5,8 +5,9 @@ use crate::objects::Selection;
 use crate::output;
 use anyhow::Context;
 use clap::Args;
-use coil_ps::eval::table::{self, ALL_LIGHTS};
+use coil_ps::eval::settings::ALL_LIGHTS;
 use coil_ps::eval::{Protocol, Report, Row, Run, RunSpec, Settings, Subject};
+use coil_ps::eval::{run, table};
 use coil_ps::planner::{self, Learned};
 use coil_ps::session::SessionError;
 use coil_ps::solve::uncertainty::StopAt;
@@ -120,7 +121,7 @@ fn evaluate(
     let done: Vec<(RunSpec, Result<Run, SessionError>)> = runs
         .par_iter()
         .map(|spec| {
-            let mut run = table::run(subject, spec, &settings.solvers, Some(learned));
+            let mut run = run::run(subject, spec, &settings.solvers, Some(learned));
             if let (Ok(run), true) = (&mut run, spec.draw > 0 || out.is_none()) {
                 run.forget_pixels();
             }

@@ -4,7 +4,7 @@ use anyhow::{Context, bail};
 use clap::builder::RangedU64ValueParser;
 use coil_ps::error;
 use coil_ps::eval::plot::{self, LightPlot};
-use coil_ps::eval::table::ALL_LIGHTS;
+use coil_ps::eval::settings::ALL_LIGHTS;
 use coil_ps::eval::{Run, RunSpec, Settings, Subject};
 use coil_ps::light;
 use coil_ps::session::SessionError;

@@ -6,8 +6,9 @@ use crate::output;
 use anyhow::bail;
 use coil_ps::error::{self, ErrorMap};
 use coil_ps::eval::plot;
+use coil_ps::eval::run;
+use coil_ps::eval::settings::ALL_LIGHTS;
 use coil_ps::eval::statistics::{mean, median};
-use coil_ps::eval::table::{self, ALL_LIGHTS};
 use coil_ps::eval::{Protocol, RunSpec, Subject};
 use coil_ps::pixels::tune::rank_correlation;
 use coil_ps::planner;
@@ -139,7 +140,7 @@ fn one(
         seed: args.seed,
         stop_at: None,
     };
-    let mut seen = table::run(subject, &spec, &[], Some(models))?.seen;
+    let mut seen = run::run(subject, &spec, &[], Some(models))?.seen;
     // Planners look back only, so stopping early and cutting the whole run short are the same.
     if let Some(stop) = args.stop_at {
         let enough = |&count: &usize| stop.enough(solver, &Measurements::of(&seen[..count]));
