@@ -12,21 +12,18 @@ use std::f32::consts::FRAC_PI_2;
 /// The learned planners with a network that was never trained: what is tested here holds for any weights.
 #[cfg(feature = "train")]
 fn learned() -> Option<&'static dyn Learned> {
-    use coil_ps::planner::{Planner, coil::Coil};
+    use coil_ps::planner::coil::Policies;
     use coil_ps::policy::{Config, Policy};
     use coil_ps::train::{export::export, weights::Weights};
-    struct Models(Policy);
-    impl Learned for Models {
-        fn planner(&self, name: &str, start: Vec3) -> Option<Box<dyn Planner>> {
-            let policy = self.0.clone();
-            let blank = name == "coil-blank";
-            Some(Box::new(if blank { Coil::blank(policy, start) } else { Coil::new(policy, start) }))
-        }
-    }
-    static MODELS: std::sync::OnceLock<Models> = std::sync::OnceLock::new();
+    static MODELS: std::sync::OnceLock<Policies> = std::sync::OnceLock::new();
     Some(MODELS.get_or_init(|| {
         let files = export(&Weights::new(&Config::compact(), 1), "untrained");
-        Models(Policy::load(&files).expect("what the exporter writes can be loaded"))
+        let policy = Policy::load(&files).expect("what the exporter writes can be loaded");
+        let mut policies = Policies::default();
+        for info in PLANNERS.iter().filter(|info| info.name.starts_with("coil")) {
+            policies.insert(info.name, policy.clone());
+        }
+        policies
     }))
 }
 

@@ -45,7 +45,11 @@ pub struct Mount {
 
 impl Mount {
     fn rotation(&self) -> DMat3 {
-        DMat3::from_rotation_x(self.tilt[0].to_radians()) * DMat3::from_rotation_y(self.tilt[1].to_radians())
+        // By libm, because glam's rotations use the platform's sine.
+        let [(sx, cx), (sy, cy)] = self.tilt.map(|t| libm::sincos(t.to_radians()));
+        let about_x = DMat3::from_cols(DVec3::X, DVec3::new(0.0, cx, sx), DVec3::new(0.0, -sx, cx));
+        let about_y = DMat3::from_cols(DVec3::new(cy, 0.0, -sy), DVec3::Y, DVec3::new(sy, 0.0, cy));
+        about_x * about_y
     }
 
     /// Unit direction of the light at these joint angles.
