@@ -6,6 +6,7 @@
 import * as core from "../pkg/core/coil_ps.js";
 import { told } from "../errors.js";
 import { LEARNED, loadFull } from "../learned.js";
+import { buffers, needed, optional, take } from "../wire.js";
 import { Port } from "./port.js";
 import { SimulatedPort } from "./simulated.js";
 import { clear, copy, holdsSession, ownFolder, read, remember, remembered, write } from "./storage.js";
@@ -100,21 +101,13 @@ function show() {
   return shown;
 }
 
-/** @param {import("../pkg/core/coil_ps.js").Picture | undefined} picture */
-function take(picture) {
-  if (!picture) return null;
-  const { width, height, rgba } = picture;
-  picture.free();
-  return { width, height, data: /** @type {ArrayBuffer} */ (rgba.buffer) };
-}
-
 function tellTaken() {
   const lights = rig.lights();
-  const photo = take(lights.length ? rig.photo(lights.length - 1) : undefined);
-  const [normals, relit] = [take(rig.normals()), take(rig.relight(sun.azimuth, sun.slant))];
+  const photo = optional(lights.length ? rig.photo(lights.length - 1) : undefined);
+  const [normals, relit] = [optional(rig.normals()), optional(rig.relight(sun.azimuth, sun.slant))];
   tell(
     { type: "taken", lights, photo, normals, relit, error: rig.error() ?? null, notes: rig.notes() },
-    [photo, normals, relit].flatMap(p => p ? [p.data] : []),
+    buffers([photo, normals, relit]),
   );
 }
 
@@ -427,7 +420,6 @@ async function learn(planner, signal) {
 function sketch() {
   if (!frame || !mask) throw new Error("take a picture first");
   const picture = take(frame.preview(PREVIEW, mask.pixels ? mask.copy() : undefined));
-  if (!picture) throw new Error("no picture");
   const quality = mask.pixels ? frame.quality(mask) : null;
   return { picture, width: frame.width, height: frame.height, pixels: mask.pixels, level, quality };
 }
@@ -476,12 +468,6 @@ async function makeRoom() {
   } catch { /* damaged: its images may still be of use */ }
   const error = new Error(`This browser keeps ${what} that is nowhere else: continue it, download the zip, or discard it. Then begin anew.`);
   throw Object.assign(error, { name: "Unsaved" });
-}
-
-/** @template T @param {T | null} value @param {string} otherwise @returns {T} */
-function needed(value, otherwise) {
-  if (value === null) throw new Error(otherwise);
-  return value;
 }
 
 /** @type {{ [K in Kind]: (body: Calls[K]["body"]) => Promise<Calls[K]["reply"]> | Calls[K]["reply"] }} */
@@ -645,7 +631,7 @@ const answers = {
 
   relight(light) {
     sun = light;
-    return take(rig.relight(light.azimuth, light.slant));
+    return optional(rig.relight(light.azimuth, light.slant));
   },
 
   async keep({ folder: chosen, settings }) {
@@ -687,8 +673,7 @@ self.onmessage = async ({ data }) => {
     await ready;
     const answer = /** @type {(body: object) => any} */ (answers[kind]);
     const value = await answer(body);
-    const buffer = value?.picture?.data ?? value?.data ?? (value instanceof ArrayBuffer ? value : null);
-    self.postMessage({ id, type: "done", value }, { transfer: buffer ? [buffer] : [] });
+    self.postMessage({ id, type: "done", value }, { transfer: buffers(value) });
   } catch (error) {
     self.postMessage({ id, type: "failed", error: told(error) });
   }
