@@ -7,18 +7,14 @@ import * as core from "../pkg/core/coil_ps.js";
 import { told } from "../errors.js";
 import { LEARNED, loadFull } from "../learned.js";
 import { buffers, needed, optional, take } from "../wire.js";
-import { Port } from "./port.js";
-import { SimulatedPort } from "./simulated.js";
+import { now, sleep } from "./clock.js";
+import { Line } from "./line.js";
 import { clear, copy, holdsSession, ownFolder, read, remember, remembered, write } from "./storage.js";
 
 /** @typedef {import("./messages.js").Calls} Calls */
 /** @typedef {import("./messages.js").Kind} Kind */
 /** @typedef {import("./messages.js").Shot} Shot */
-/** @typedef {import("./port.js").PortEvents} PortEvents */
-/** @typedef {{ open: () => Promise<void>, write: (bytes: Uint8Array) => void, close: () => Promise<void> }} Line */
 
-/** A USB port takes so long to come back. */
-const RECONNECT_MS = 8000;
 /** Read-out of the simulated camera. */
 const READ_OUT_MS = 30;
 /** Side of the picture to draw the mask on. */
@@ -27,8 +23,6 @@ const PREVIEW = 720;
 const PATIENCE_MS = 60_000;
 
 const ready = core.default({ module_or_path: new URL("../pkg/core/coil_ps_bg.wasm", import.meta.url) });
-const now = () => performance.now();
-const sleep = (/** @type {number} */ ms) => new Promise(resolve => setTimeout(resolve, ms));
 const tell = (/** @type {import("./messages.js").Told} */ told, /** @type {Transferable[]} */ transfer = []) => self.postMessage(told, { transfer });
 
 /** The build in use: the small one, until a learned planner is asked for. */
@@ -37,20 +31,6 @@ let lib = core;
 let rig;
 /** The trained planners that were loaded. @type {import("../learned.js").Models | null} */
 let models = null;
-
-/** Makes the line to the arm anew for each opening. @type {((events: PortEvents) => Line) | null} */
-let makeLine = null;
-/** @type {Line | null} */
-let line = null;
-/** @type {SimulatedPort | null} */
-let simulated = null;
-/** How many times as fast as a real one it is. */
-let pace = 1;
-/** @type {MessagePort | null} */
-let channel = null;
-let wanted = false; // the user wants to be connected
-/** @type {ReturnType<typeof setTimeout> | undefined} */
-let timer;
 
 /** @type {"idle" | "auto" | "one"} */
 let mode = "idle";
@@ -86,6 +66,15 @@ let sun = { azimuth: 40, slant: 45 };
 let phaseBefore = "";
 let shownBefore = "";
 
+/** What the line sees of all this, as it is at that moment. @type {import("./line.js").Owner} */
+const owner = {
+  get rig() { return rig; },
+  get lib() { return lib; },
+  get idle() { return idle(); },
+  show, tell, advance,
+};
+const line = new Line(owner);
+
 // ---- what is told ----
 
 function show() {
@@ -94,7 +83,7 @@ function show() {
   let findings = null;
   if (shown.phase === "ready" && phaseBefore !== "ready") findings = rig.findings();
   phaseBefore = shown.phase;
-  const told = { type: /** @type {const} */ ("state"), shown, said, findings, wanted, mode, preparing: preparing !== null, progress, target, folder: folder?.name ?? null };
+  const told = { type: /** @type {const} */ ("state"), shown, said, findings, wanted: line.wanted, mode, preparing: preparing !== null, progress, target, folder: folder?.name ?? null };
   const text = JSON.stringify(told);
   if (text !== shownBefore) tell(told);
   shownBefore = text;
@@ -143,84 +132,6 @@ async function bringUpToDate(chosen) {
 async function opened(from, signal) {
   await learn((await filesOf(from)).summary().planner, signal);
   return filesOf(from);
-}
-
-// ---- the line to the arm ----
-
-/** The port of another thread. @param {MessagePort} rigPort @param {PortEvents} events @returns {Line} */
-function remote(rigPort, events) {
-  /** @type {{ resolve: () => void, reject: (error: Error) => void } | null} */
-  let opening = null;
-  rigPort.onmessage = ({ data }) => {
-    const message = /** @type {import("./host.js").FromHost} */ (data);
-    if (message.type === "bytes") events.bytes(message.bytes);
-    else if (message.type === "lost") events.lost(message.reason);
-    else if (message.type === "opened") opening?.resolve();
-    else if (message.type === "failed") opening?.reject(Object.assign(new Error(message.message), { name: message.name }));
-  };
-  const post = (/** @type {import("./host.js").ToHost} */ message) => rigPort.postMessage(message);
-  return {
-    open: () => new Promise((resolve, reject) => {
-      opening = { resolve, reject };
-      post({ type: "open" });
-    }),
-    write: bytes => post({ type: "write", bytes }),
-    close: async () => post({ type: "close" }),
-  };
-}
-
-async function open() {
-  if (!makeLine) throw new Error("no port was chosen");
-  /** @type {Line} */
-  const mine = makeLine({
-    bytes: bytes => { if (line === mine) { rig.receive(now(), bytes); pump(); } },
-    lost: reason => { if (line === mine) lost(reason); },
-  });
-  await mine.open();
-  line = mine;
-  rig.opened(now());
-  // Before anything is asked of the capture: stuck for the port that was lost, it would end what it can now go on with.
-  rig.retry();
-  pump();
-}
-
-function pump() {
-  clearTimeout(timer);
-  if (!line) return void show();
-  const bytes = rig.tick(now());
-  if (bytes.length) line.write(bytes);
-  const shown = show();
-  if (shown.phase === "closed") return void lost(shown.reason ?? "the firmware does not answer");
-  timer = setTimeout(pump, Math.max((rig.wake(now()) ?? now() + 200) - now(), 1));
-  advance();
-}
-
-/** @param {string} reason */
-async function lost(reason) {
-  const gone = line;
-  if (!gone) return;
-  line = null;
-  rig.closed(reason);
-  show();
-  await gone.close();
-  if (!wanted) return;
-  const said = rig.shown().reason ?? "";
-  // A board that does not speak Grbl will not speak it on the next try either.
-  if (/not as Grbl|did not confirm/.test(said)) {
-    wanted = false;
-    show();
-    return tell({ type: "help", text: "The port opened, but nothing there speaks Grbl 1.1 at 115200 baud." });
-  }
-  const end = now() + RECONNECT_MS;
-  while (wanted && now() < end) {
-    await sleep(400);
-    try {
-      return await open();
-    } catch { /* not there yet */ }
-  }
-  wanted = false;
-  show();
-  tell({ type: "problem", message: `The port did not come back in ${RECONNECT_MS / 1000} s (${reason}). The session is stored: connect and continue.` });
 }
 
 // ---- frames ----
@@ -279,7 +190,7 @@ async function expose(doing) {
   const milliseconds = doing.until;
   if (rig.simulated) {
     const s = rig.shown();
-    const [azimuth, slant, led] = simulated ? simulated.board.truth() : [s.azimuth ?? 0, s.slant ?? 0, s.led ?? 0];
+    const [azimuth, slant, led] = line.truth() ?? [s.azimuth ?? 0, s.slant ?? 0, s.led ?? 0];
     await sleep(milliseconds + READ_OUT_MS);
     // What happened meanwhile decides whether the exposure is still wanted.
     if (rig.step(now()).action === "expose") rig.exposeSimulated(azimuth, slant, led, milliseconds);
@@ -312,21 +223,20 @@ function words(doing) {
 }
 
 async function advance() {
-  if (advancing || !capturing || mode === "idle" || !line) return;
+  if (advancing || !capturing || mode === "idle" || !line.opened) return;
   advancing = true;
   let before = "";
   try {
     for (;;) {
-      if (idle() || !line) return;
+      if (idle() || !line.opened) return;
       const doing = rig.step(now());
-      const out = rig.takeOutput();
-      if (out.length) line.write(out);
+      line.write(rig.takeOutput());
       target = doing.commanded;
       progress = words(doing);
       if (doing.doing === "moving" && before !== "moving" && camera.kind === "folder") known = new Set((await images(camera.folder)).keys());
       before = doing.doing;
       if (doing.action === "wait") {
-        if (doing.until !== null) setTimeout(pump, Math.max(doing.until - now(), 1));
+        if (doing.until !== null) setTimeout(() => line.pump(), Math.max(doing.until - now(), 1));
         return;
       }
       show();
@@ -409,7 +319,7 @@ async function learn(planner, signal) {
     rig.configureArm(arm);
     mask = drawn ? lib.MaskDrawing.of(drawn.width, drawn.height, drawn.bytes) : null;
     // The arm is asked for everything once more; its banner comes on a reset.
-    if (line) rig.opened(now());
+    if (line.opened) rig.opened(now());
   }
   await models.load(planner, signal, say);
   models.lend(rig);
@@ -473,7 +383,7 @@ async function makeRoom() {
 /** @type {{ [K in Kind]: (body: Calls[K]["body"]) => Promise<Calls[K]["reply"]> | Calls[K]["reply"] }} */
 const answers = {
   async start({ arm, pace: given }) {
-    pace = given;
+    line.pace = given;
     rig = new lib.Rig();
     let fitted = arm !== null;
     try {
@@ -485,48 +395,21 @@ const answers = {
     return { limits: [...rig.limits()], fitted, session: await storedSession(), folder: await remembered() };
   },
 
-  async connect({ rig: port }) {
-    simulated = null;
-    channel = port;
-    if (port) makeLine = events => remote(port, events);
-    else {
-      const board = simulated = new SimulatedPort("guide", pace);
-      makeLine = events => new Port(board, events);
-    }
-    wanted = true;
-    show();
-    try {
-      await open();
-    } catch (error) {
-      wanted = false;
-      show();
-      throw error;
-    }
+  connect({ rig: port }) {
+    return line.connect(port);
   },
 
-  async disconnect() {
-    wanted = false;
+  disconnect() {
     mode = "idle";
     preparing?.abort();
-    const gone = line;
-    line = null;
-    clearTimeout(timer);
-    rig.closed(undefined);
-    show();
-    await gone?.close();
+    return line.disconnect();
   },
 
   stop({ sent }) {
     mode = "idle";
     preparing?.abort();
     shotCame?.({ shot: null, reason: "stopped" });
-    if (!line) return;
-    rig.stop(now());
-    const bytes = rig.takeOutput();
-    // Another thread's port has sent them past us, and is silent until now.
-    if (sent && channel) channel.postMessage({ type: "resume" });
-    else line.write(bytes);
-    pump();
+    line.stop(sent);
   },
 
   order({ order }) {
@@ -538,12 +421,12 @@ const answers = {
     else if (order.name === "here") rig.setPosition(now(), 0, 0);
     else if (order.name === "home" || order.name === "unlock" || order.name === "release" || order.name === "reset") rig[order.name](now());
     else rig[order.name]();
-    pump();
+    line.pump();
     return { projected };
   },
 
   async begin({ mode: next, settings, camera: chosen, stored }) {
-    if (!line) throw new Error("Connect the arm first: the simulated one needs no hardware.");
+    if (!line.opened) throw new Error("Connect the arm first: the simulated one needs no hardware.");
     if (preparing) throw new Error("A capture is being prepared: wait, or end that with Pause.");
     const { signal } = preparing = new AbortController();
     show();
@@ -556,9 +439,9 @@ const answers = {
       preparing = null;
       show();
     }
-    if (!line) throw new Error("The arm was disconnected meanwhile: connect it, then go on.");
+    if (!line.opened) throw new Error("The arm was disconnected meanwhile: connect it, then go on.");
     mode = next;
-    pump();
+    line.pump();
   },
 
   pause() {
