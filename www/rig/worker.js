@@ -7,20 +7,16 @@ import * as core from "../pkg/core/coil_ps.js";
 import { told } from "../errors.js";
 import { LEARNED, loadFull } from "../learned.js";
 import { buffers, needed, optional, take } from "../wire.js";
-import { now, sleep } from "./clock.js";
+import { now } from "./clock.js";
+import { Frames, frameOf } from "./frames.js";
 import { Line } from "./line.js";
 import { clear, copy, holdsSession, ownFolder, read, remember, remembered, write } from "./storage.js";
 
 /** @typedef {import("./messages.js").Calls} Calls */
 /** @typedef {import("./messages.js").Kind} Kind */
-/** @typedef {import("./messages.js").Shot} Shot */
 
-/** Read-out of the simulated camera. */
-const READ_OUT_MS = 30;
 /** Side of the picture to draw the mask on. */
 const PREVIEW = 720;
-/** How long a watched folder may stay without a new image. */
-const PATIENCE_MS = 60_000;
 
 const ready = core.default({ module_or_path: new URL("../pkg/core/coil_ps_bg.wasm", import.meta.url) });
 const tell = (/** @type {import("./messages.js").Told} */ told, /** @type {Transferable[]} */ transfer = []) => self.postMessage(told, { transfer });
@@ -36,16 +32,10 @@ let models = null;
 let mode = "idle";
 let capturing = false;
 let advancing = false;
-/** @type {import("./messages.js").Camera} */
-let camera = { kind: "sim" };
 /** @type {string | null} */
 let progress = null;
 /** @type {[number, number, number] | null} */
 let target = null;
-/** @type {((shot: { shot: Shot | null, reason: string }) => void) | null} */
-let shotCame = null;
-/** Files of the watched folder that belong to no exposure still to come. @type {Set<string>} */
-let known = new Set();
 /** What loads while a capture is prepared; STOP, Pause and a lost port end it. @type {AbortController | null} */
 let preparing = null;
 /** Settings of the capture under way, to see whether others are asked for. */
@@ -66,7 +56,7 @@ let sun = { azimuth: 40, slant: 45 };
 let phaseBefore = "";
 let shownBefore = "";
 
-/** What the line sees of all this, as it is at that moment. @type {import("./line.js").Owner} */
+/** What the line and the frames see of all this, as it is at that moment. @type {import("./line.js").Owner} */
 const owner = {
   get rig() { return rig; },
   get lib() { return lib; },
@@ -74,6 +64,7 @@ const owner = {
   show, tell, advance,
 };
 const line = new Line(owner);
+const frames = new Frames(owner, line);
 
 // ---- what is told ----
 
@@ -134,85 +125,6 @@ async function opened(from, signal) {
   return filesOf(from);
 }
 
-// ---- frames ----
-
-/** @param {Shot} shot @param {import("./messages.js").Camera} from */
-function frameOf(shot, from) {
-  if ("bytes" in shot) {
-    const { black, white } = "black" in from ? from : { black: 0, white: null };
-    return lib.Frame.decode(new Uint8Array(shot.bytes), shot.milliseconds, black, white ?? undefined);
-  }
-  const { width, height } = shot.bitmaps[0];
-  const context = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
-  if (!context) throw new Error("no canvas to read the camera's pictures with");
-  const mean = new lib.FrameAverage(width, height);
-  for (const bitmap of shot.bitmaps) {
-    context.drawImage(bitmap, 0, 0);
-    bitmap.close();
-    mean.add(new Uint8Array(context.getImageData(0, 0, width, height).data.buffer));
-  }
-  const made = mean.frame(shot.milliseconds);
-  mean.free();
-  return made;
-}
-
-/** @param {FileSystemDirectoryHandle} watched @returns {Promise<Map<string, FileSystemFileHandle>>} */
-async function images(watched) {
-  const found = new Map();
-  for await (const [name, handle] of /** @type {any} */ (watched).entries()) {
-    if (handle.kind === "file" && /\.(png|tiff?)$/i.test(name)) found.set(name, handle);
-  }
-  return found;
-}
-
-/** The next new image of the watched folder, once it has stopped growing. @param {FileSystemDirectoryHandle} watched @param {number} milliseconds */
-async function nextImage(watched, milliseconds) {
-  let last = "";
-  for (const end = now() + PATIENCE_MS; now() < end && mode !== "idle"; await sleep(80)) {
-    const fresh = [...await images(watched)].filter(([name]) => !known.has(name));
-    const files = await Promise.all(fresh.map(([, handle]) => handle.getFile()));
-    // As they were saved; of one moment, img9 before img10.
-    const [file] = files.sort((a, b) => a.lastModified - b.lastModified || a.name.localeCompare(b.name, "en", { numeric: true }));
-    if (!file) continue;
-    const size = `${file.name} ${file.size}`;
-    if (file.size && size === last) {
-      known.add(file.name);
-      return { bytes: await file.arrayBuffer(), milliseconds };
-    }
-    last = size;
-  }
-  if (mode === "idle") return null;
-  throw new Error(`no new image in the folder in ${PATIENCE_MS / 1000} s: does the camera save there, and is it triggered?`);
-}
-
-/** @param {Record<string, any>} doing */
-async function expose(doing) {
-  const milliseconds = doing.until;
-  if (rig.simulated) {
-    const s = rig.shown();
-    const [azimuth, slant, led] = line.truth() ?? [s.azimuth ?? 0, s.slant ?? 0, s.led ?? 0];
-    await sleep(milliseconds + READ_OUT_MS);
-    // What happened meanwhile decides whether the exposure is still wanted.
-    if (rig.step(now()).action === "expose") rig.exposeSimulated(azimuth, slant, led, milliseconds);
-    return;
-  }
-  /** @type {Shot | null} */
-  let shot;
-  if (camera.kind === "folder") {
-    if (doing.index === 0 && !shutter) known = new Set((await images(camera.folder)).keys());
-    shot = await nextImage(camera.folder, milliseconds);
-  } else {
-    tell({ type: "expose", number: doing.number, index: doing.index, milliseconds, count: doing.exposures });
-    const came = await new Promise(resolve => { shotCame = resolve; });
-    shotCame = null;
-    if (!came.shot && mode !== "idle") throw new Error(came.reason);
-    shot = came.shot;
-  }
-  if (shot && rig.step(now()).action === "expose") rig.expose(frameOf(shot, camera));
-}
-
-let shutter = false;
-
 // ---- the capture ----
 
 /** @param {Record<string, any>} doing */
@@ -233,7 +145,7 @@ async function advance() {
       line.write(rig.takeOutput());
       target = doing.commanded;
       progress = words(doing);
-      if (doing.doing === "moving" && before !== "moving" && camera.kind === "folder") known = new Set((await images(camera.folder)).keys());
+      if (doing.doing === "moving" && before !== "moving" && frames.camera.kind === "folder") await frames.pass(frames.camera.folder);
       before = doing.doing;
       if (doing.action === "wait") {
         if (doing.until !== null) setTimeout(() => line.pump(), Math.max(doing.until - now(), 1));
@@ -241,7 +153,7 @@ async function advance() {
       }
       show();
       if (doing.action === "expose") {
-        await expose(doing);
+        await frames.expose(doing);
         continue;
       }
       if (doing.action === "store") {
@@ -342,7 +254,7 @@ function sketch() {
 async function prepare(settings, chosen, stored, signal) {
   const asked = JSON.stringify(settings);
   if (capturing && !stored && asked === begun) {
-    camera = chosen;
+    frames.camera = chosen;
     return rig.retry();
   }
   if (!stored) await makeRoom();
@@ -354,7 +266,7 @@ async function prepare(settings, chosen, stored, signal) {
   } else await learn(settings.planner, signal);
   signal.throwIfAborted();
   rig.startCapture(settings, mask?.pixels ? mask.copy() : undefined, files);
-  [camera, shutter, begun] = [chosen, settings.shutter, asked];
+  [frames.camera, frames.shutter, begun] = [chosen, settings.shutter, asked];
   if (!stored || from === folder) await clear(own);
   if (stored && folder) await (from === folder ? copy(folder, own) : copy(own, folder));
   await remember(folder);
@@ -408,7 +320,7 @@ const answers = {
   stop({ sent }) {
     mode = "idle";
     preparing?.abort();
-    shotCame?.({ shot: null, reason: "stopped" });
+    frames.came({ shot: null, reason: "stopped" });
     line.stop(sent);
   },
 
@@ -446,7 +358,7 @@ const answers = {
 
   pause() {
     preparing?.abort();
-    shotCame?.({ shot: null, reason: "paused" });
+    frames.came({ shot: null, reason: "paused" });
     mode = "idle";
     progress = "Paused.";
     show();
@@ -465,12 +377,12 @@ const answers = {
   },
 
   exposed(came) {
-    shotCame?.(came);
+    frames.came(came);
   },
 
   look({ shot, camera: from }) {
     frame?.free();
-    frame = frameOf(shot, from);
+    frame = frameOf(lib, shot, from);
     if (!mask || mask.width !== frame.width || mask.height !== frame.height) {
       mask?.free();
       mask = new lib.MaskDrawing(frame.width, frame.height);
