@@ -6,11 +6,11 @@ import { told } from "./errors.js";
 import { Helpers } from "./helpers.js";
 import { readObject } from "./reader.js";
 import { LEARNED, learnedPlanners, loadFull } from "./learned.js";
+import { buffers, needed, optional, take } from "./wire.js";
 
 /** @typedef {import("./messages.js").Calls} Calls */
 /** @typedef {import("./messages.js").Kind} Kind */
 /** @typedef {import("./messages.js").Direction} Direction */
-/** @typedef {import("./messages.js").Picture} Picture */
 /** @typedef {import("./pkg/core/coil_ps.js").Picture} CorePicture */
 
 /** Pixels of the small pictures along a run. */
@@ -422,33 +422,6 @@ function forget() {
 }
 
 /**
- * @template T
- * @param {T | null | undefined} value
- * @param {string} otherwise
- * @returns {T}
- */
-function needed(value, otherwise) {
-  if (value === null || value === undefined) throw new Error(otherwise);
-  return value;
-}
-
-/**
- * A picture of the core as one that can be transferred.
- * @param {CorePicture} picture
- * @returns {Picture}
- */
-function take(picture) {
-  const { width, height, rgba } = picture;
-  picture.free();
-  return { width, height, data: /** @type {ArrayBuffer} */ (rgba.buffer) };
-}
-
-/** @param {CorePicture | null | undefined} picture */
-function optional(picture) {
-  return picture ? take(picture) : null;
-}
-
-/**
  * @param {Uint8Array} bytes
  * @param {string} type
  * @param {string} name
@@ -481,13 +454,6 @@ function pause() {
 
 /** @type {Map<number, AbortController>} */
 const underWay = new Map();
-
-/** Buffers of the pictures in a reply: they are transferred. @param {unknown} value @returns {Transferable[]} */
-function buffers(value) {
-  if (value instanceof ArrayBuffer) return [value];
-  if (value === null || typeof value !== "object" || ArrayBuffer.isView(value)) return [];
-  return Object.values(value).flatMap(buffers);
-}
 
 /** @param {MessageEvent<import("./messages.js").Request | import("./messages.js").Abort>} event */
 self.onmessage = async ({ data }) => {

@@ -6,28 +6,19 @@
 import * as core from "../pkg/core/coil_ps.js";
 import { told } from "../errors.js";
 import { LEARNED, loadFull } from "../learned.js";
-import { Port } from "./port.js";
-import { SimulatedPort } from "./simulated.js";
+import { buffers, needed, optional, take } from "../wire.js";
+import { now } from "./clock.js";
+import { Frames, frameOf } from "./frames.js";
+import { Line } from "./line.js";
 import { clear, copy, holdsSession, ownFolder, read, remember, remembered, write } from "./storage.js";
 
 /** @typedef {import("./messages.js").Calls} Calls */
 /** @typedef {import("./messages.js").Kind} Kind */
-/** @typedef {import("./messages.js").Shot} Shot */
-/** @typedef {import("./port.js").PortEvents} PortEvents */
-/** @typedef {{ open: () => Promise<void>, write: (bytes: Uint8Array) => void, close: () => Promise<void> }} Line */
 
-/** A USB port takes so long to come back. */
-const RECONNECT_MS = 8000;
-/** Read-out of the simulated camera. */
-const READ_OUT_MS = 30;
 /** Side of the picture to draw the mask on. */
 const PREVIEW = 720;
-/** How long a watched folder may stay without a new image. */
-const PATIENCE_MS = 60_000;
 
 const ready = core.default({ module_or_path: new URL("../pkg/core/coil_ps_bg.wasm", import.meta.url) });
-const now = () => performance.now();
-const sleep = (/** @type {number} */ ms) => new Promise(resolve => setTimeout(resolve, ms));
 const tell = (/** @type {import("./messages.js").Told} */ told, /** @type {Transferable[]} */ transfer = []) => self.postMessage(told, { transfer });
 
 /** The build in use: the small one, until a learned planner is asked for. */
@@ -37,34 +28,14 @@ let rig;
 /** The trained planners that were loaded. @type {import("../learned.js").Models | null} */
 let models = null;
 
-/** Makes the line to the arm anew for each opening. @type {((events: PortEvents) => Line) | null} */
-let makeLine = null;
-/** @type {Line | null} */
-let line = null;
-/** @type {SimulatedPort | null} */
-let simulated = null;
-/** How many times as fast as a real one it is. */
-let pace = 1;
-/** @type {MessagePort | null} */
-let channel = null;
-let wanted = false; // the user wants to be connected
-/** @type {ReturnType<typeof setTimeout> | undefined} */
-let timer;
-
 /** @type {"idle" | "auto" | "one"} */
 let mode = "idle";
 let capturing = false;
 let advancing = false;
-/** @type {import("./messages.js").Camera} */
-let camera = { kind: "sim" };
 /** @type {string | null} */
 let progress = null;
 /** @type {[number, number, number] | null} */
 let target = null;
-/** @type {((shot: { shot: Shot | null, reason: string }) => void) | null} */
-let shotCame = null;
-/** Files of the watched folder that belong to no exposure still to come. @type {Set<string>} */
-let known = new Set();
 /** What loads while a capture is prepared; STOP, Pause and a lost port end it. @type {AbortController | null} */
 let preparing = null;
 /** Settings of the capture under way, to see whether others are asked for. */
@@ -85,6 +56,16 @@ let sun = { azimuth: 40, slant: 45 };
 let phaseBefore = "";
 let shownBefore = "";
 
+/** What the line and the frames see of all this, as it is at that moment. @type {import("./line.js").Owner} */
+const owner = {
+  get rig() { return rig; },
+  get lib() { return lib; },
+  get idle() { return idle(); },
+  show, tell, advance,
+};
+const line = new Line(owner);
+const frames = new Frames(owner, line);
+
 // ---- what is told ----
 
 function show() {
@@ -93,28 +74,20 @@ function show() {
   let findings = null;
   if (shown.phase === "ready" && phaseBefore !== "ready") findings = rig.findings();
   phaseBefore = shown.phase;
-  const told = { type: /** @type {const} */ ("state"), shown, said, findings, wanted, mode, preparing: preparing !== null, progress, target, folder: folder?.name ?? null };
+  const told = { type: /** @type {const} */ ("state"), shown, said, findings, wanted: line.wanted, mode, preparing: preparing !== null, progress, target, folder: folder?.name ?? null };
   const text = JSON.stringify(told);
   if (text !== shownBefore) tell(told);
   shownBefore = text;
   return shown;
 }
 
-/** @param {import("../pkg/core/coil_ps.js").Picture | undefined} picture */
-function take(picture) {
-  if (!picture) return null;
-  const { width, height, rgba } = picture;
-  picture.free();
-  return { width, height, data: /** @type {ArrayBuffer} */ (rgba.buffer) };
-}
-
 function tellTaken() {
   const lights = rig.lights();
-  const photo = take(lights.length ? rig.photo(lights.length - 1) : undefined);
-  const [normals, relit] = [take(rig.normals()), take(rig.relight(sun.azimuth, sun.slant))];
+  const photo = optional(lights.length ? rig.photo(lights.length - 1) : undefined);
+  const [normals, relit] = [optional(rig.normals()), optional(rig.relight(sun.azimuth, sun.slant))];
   tell(
     { type: "taken", lights, photo, normals, relit, error: rig.error() ?? null, notes: rig.notes() },
-    [photo, normals, relit].flatMap(p => p ? [p.data] : []),
+    buffers([photo, normals, relit]),
   );
 }
 
@@ -152,163 +125,6 @@ async function opened(from, signal) {
   return filesOf(from);
 }
 
-// ---- the line to the arm ----
-
-/** The port of another thread. @param {MessagePort} rigPort @param {PortEvents} events @returns {Line} */
-function remote(rigPort, events) {
-  /** @type {{ resolve: () => void, reject: (error: Error) => void } | null} */
-  let opening = null;
-  rigPort.onmessage = ({ data }) => {
-    const message = /** @type {import("./host.js").FromHost} */ (data);
-    if (message.type === "bytes") events.bytes(message.bytes);
-    else if (message.type === "lost") events.lost(message.reason);
-    else if (message.type === "opened") opening?.resolve();
-    else if (message.type === "failed") opening?.reject(Object.assign(new Error(message.message), { name: message.name }));
-  };
-  const post = (/** @type {import("./host.js").ToHost} */ message) => rigPort.postMessage(message);
-  return {
-    open: () => new Promise((resolve, reject) => {
-      opening = { resolve, reject };
-      post({ type: "open" });
-    }),
-    write: bytes => post({ type: "write", bytes }),
-    close: async () => post({ type: "close" }),
-  };
-}
-
-async function open() {
-  if (!makeLine) throw new Error("no port was chosen");
-  /** @type {Line} */
-  const mine = makeLine({
-    bytes: bytes => { if (line === mine) { rig.receive(now(), bytes); pump(); } },
-    lost: reason => { if (line === mine) lost(reason); },
-  });
-  await mine.open();
-  line = mine;
-  rig.opened(now());
-  // Before anything is asked of the capture: stuck for the port that was lost, it would end what it can now go on with.
-  rig.retry();
-  pump();
-}
-
-function pump() {
-  clearTimeout(timer);
-  if (!line) return void show();
-  const bytes = rig.tick(now());
-  if (bytes.length) line.write(bytes);
-  const shown = show();
-  if (shown.phase === "closed") return void lost(shown.reason ?? "the firmware does not answer");
-  timer = setTimeout(pump, Math.max((rig.wake(now()) ?? now() + 200) - now(), 1));
-  advance();
-}
-
-/** @param {string} reason */
-async function lost(reason) {
-  const gone = line;
-  if (!gone) return;
-  line = null;
-  rig.closed(reason);
-  show();
-  await gone.close();
-  if (!wanted) return;
-  const said = rig.shown().reason ?? "";
-  // A board that does not speak Grbl will not speak it on the next try either.
-  if (/not as Grbl|did not confirm/.test(said)) {
-    wanted = false;
-    show();
-    return tell({ type: "help", text: "The port opened, but nothing there speaks Grbl 1.1 at 115200 baud." });
-  }
-  const end = now() + RECONNECT_MS;
-  while (wanted && now() < end) {
-    await sleep(400);
-    try {
-      return await open();
-    } catch { /* not there yet */ }
-  }
-  wanted = false;
-  show();
-  tell({ type: "problem", message: `The port did not come back in ${RECONNECT_MS / 1000} s (${reason}). The session is stored: connect and continue.` });
-}
-
-// ---- frames ----
-
-/** @param {Shot} shot @param {import("./messages.js").Camera} from */
-function frameOf(shot, from) {
-  if ("bytes" in shot) {
-    const { black, white } = "black" in from ? from : { black: 0, white: null };
-    return lib.Frame.decode(new Uint8Array(shot.bytes), shot.milliseconds, black, white ?? undefined);
-  }
-  const { width, height } = shot.bitmaps[0];
-  const context = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
-  if (!context) throw new Error("no canvas to read the camera's pictures with");
-  const mean = new lib.FrameAverage(width, height);
-  for (const bitmap of shot.bitmaps) {
-    context.drawImage(bitmap, 0, 0);
-    bitmap.close();
-    mean.add(new Uint8Array(context.getImageData(0, 0, width, height).data.buffer));
-  }
-  const made = mean.frame(shot.milliseconds);
-  mean.free();
-  return made;
-}
-
-/** @param {FileSystemDirectoryHandle} watched @returns {Promise<Map<string, FileSystemFileHandle>>} */
-async function images(watched) {
-  const found = new Map();
-  for await (const [name, handle] of /** @type {any} */ (watched).entries()) {
-    if (handle.kind === "file" && /\.(png|tiff?)$/i.test(name)) found.set(name, handle);
-  }
-  return found;
-}
-
-/** The next new image of the watched folder, once it has stopped growing. @param {FileSystemDirectoryHandle} watched @param {number} milliseconds */
-async function nextImage(watched, milliseconds) {
-  let last = "";
-  for (const end = now() + PATIENCE_MS; now() < end && mode !== "idle"; await sleep(80)) {
-    const fresh = [...await images(watched)].filter(([name]) => !known.has(name));
-    const files = await Promise.all(fresh.map(([, handle]) => handle.getFile()));
-    // As they were saved; of one moment, img9 before img10.
-    const [file] = files.sort((a, b) => a.lastModified - b.lastModified || a.name.localeCompare(b.name, "en", { numeric: true }));
-    if (!file) continue;
-    const size = `${file.name} ${file.size}`;
-    if (file.size && size === last) {
-      known.add(file.name);
-      return { bytes: await file.arrayBuffer(), milliseconds };
-    }
-    last = size;
-  }
-  if (mode === "idle") return null;
-  throw new Error(`no new image in the folder in ${PATIENCE_MS / 1000} s: does the camera save there, and is it triggered?`);
-}
-
-/** @param {Record<string, any>} doing */
-async function expose(doing) {
-  const milliseconds = doing.until;
-  if (rig.simulated) {
-    const s = rig.shown();
-    const [azimuth, slant, led] = simulated ? simulated.board.truth() : [s.azimuth ?? 0, s.slant ?? 0, s.led ?? 0];
-    await sleep(milliseconds + READ_OUT_MS);
-    // What happened meanwhile decides whether the exposure is still wanted.
-    if (rig.step(now()).action === "expose") rig.exposeSimulated(azimuth, slant, led, milliseconds);
-    return;
-  }
-  /** @type {Shot | null} */
-  let shot;
-  if (camera.kind === "folder") {
-    if (doing.index === 0 && !shutter) known = new Set((await images(camera.folder)).keys());
-    shot = await nextImage(camera.folder, milliseconds);
-  } else {
-    tell({ type: "expose", number: doing.number, index: doing.index, milliseconds, count: doing.exposures });
-    const came = await new Promise(resolve => { shotCame = resolve; });
-    shotCame = null;
-    if (!came.shot && mode !== "idle") throw new Error(came.reason);
-    shot = came.shot;
-  }
-  if (shot && rig.step(now()).action === "expose") rig.expose(frameOf(shot, camera));
-}
-
-let shutter = false;
-
 // ---- the capture ----
 
 /** @param {Record<string, any>} doing */
@@ -319,26 +135,25 @@ function words(doing) {
 }
 
 async function advance() {
-  if (advancing || !capturing || mode === "idle" || !line) return;
+  if (advancing || !capturing || mode === "idle" || !line.opened) return;
   advancing = true;
   let before = "";
   try {
     for (;;) {
-      if (idle() || !line) return;
+      if (idle() || !line.opened) return;
       const doing = rig.step(now());
-      const out = rig.takeOutput();
-      if (out.length) line.write(out);
+      line.write(rig.takeOutput());
       target = doing.commanded;
       progress = words(doing);
-      if (doing.doing === "moving" && before !== "moving" && camera.kind === "folder") known = new Set((await images(camera.folder)).keys());
+      if (doing.doing === "moving" && before !== "moving" && frames.camera.kind === "folder") await frames.pass(frames.camera.folder);
       before = doing.doing;
       if (doing.action === "wait") {
-        if (doing.until !== null) setTimeout(pump, Math.max(doing.until - now(), 1));
+        if (doing.until !== null) setTimeout(() => line.pump(), Math.max(doing.until - now(), 1));
         return;
       }
       show();
       if (doing.action === "expose") {
-        await expose(doing);
+        await frames.expose(doing);
         continue;
       }
       if (doing.action === "store") {
@@ -416,7 +231,7 @@ async function learn(planner, signal) {
     rig.configureArm(arm);
     mask = drawn ? lib.MaskDrawing.of(drawn.width, drawn.height, drawn.bytes) : null;
     // The arm is asked for everything once more; its banner comes on a reset.
-    if (line) rig.opened(now());
+    if (line.opened) rig.opened(now());
   }
   await models.load(planner, signal, say);
   models.lend(rig);
@@ -427,7 +242,6 @@ async function learn(planner, signal) {
 function sketch() {
   if (!frame || !mask) throw new Error("take a picture first");
   const picture = take(frame.preview(PREVIEW, mask.pixels ? mask.copy() : undefined));
-  if (!picture) throw new Error("no picture");
   const quality = mask.pixels ? frame.quality(mask) : null;
   return { picture, width: frame.width, height: frame.height, pixels: mask.pixels, level, quality };
 }
@@ -440,7 +254,7 @@ function sketch() {
 async function prepare(settings, chosen, stored, signal) {
   const asked = JSON.stringify(settings);
   if (capturing && !stored && asked === begun) {
-    camera = chosen;
+    frames.camera = chosen;
     return rig.retry();
   }
   if (!stored) await makeRoom();
@@ -452,7 +266,7 @@ async function prepare(settings, chosen, stored, signal) {
   } else await learn(settings.planner, signal);
   signal.throwIfAborted();
   rig.startCapture(settings, mask?.pixels ? mask.copy() : undefined, files);
-  [camera, shutter, begun] = [chosen, settings.shutter, asked];
+  [frames.camera, frames.shutter, begun] = [chosen, settings.shutter, asked];
   if (!stored || from === folder) await clear(own);
   if (stored && folder) await (from === folder ? copy(folder, own) : copy(own, folder));
   await remember(folder);
@@ -478,16 +292,10 @@ async function makeRoom() {
   throw Object.assign(error, { name: "Unsaved" });
 }
 
-/** @template T @param {T | null} value @param {string} otherwise @returns {T} */
-function needed(value, otherwise) {
-  if (value === null) throw new Error(otherwise);
-  return value;
-}
-
 /** @type {{ [K in Kind]: (body: Calls[K]["body"]) => Promise<Calls[K]["reply"]> | Calls[K]["reply"] }} */
 const answers = {
   async start({ arm, pace: given }) {
-    pace = given;
+    line.pace = given;
     rig = new lib.Rig();
     let fitted = arm !== null;
     try {
@@ -499,48 +307,21 @@ const answers = {
     return { limits: [...rig.limits()], fitted, session: await storedSession(), folder: await remembered() };
   },
 
-  async connect({ rig: port }) {
-    simulated = null;
-    channel = port;
-    if (port) makeLine = events => remote(port, events);
-    else {
-      const board = simulated = new SimulatedPort("guide", pace);
-      makeLine = events => new Port(board, events);
-    }
-    wanted = true;
-    show();
-    try {
-      await open();
-    } catch (error) {
-      wanted = false;
-      show();
-      throw error;
-    }
+  connect({ rig: port }) {
+    return line.connect(port);
   },
 
-  async disconnect() {
-    wanted = false;
+  disconnect() {
     mode = "idle";
     preparing?.abort();
-    const gone = line;
-    line = null;
-    clearTimeout(timer);
-    rig.closed(undefined);
-    show();
-    await gone?.close();
+    return line.disconnect();
   },
 
   stop({ sent }) {
     mode = "idle";
     preparing?.abort();
-    shotCame?.({ shot: null, reason: "stopped" });
-    if (!line) return;
-    rig.stop(now());
-    const bytes = rig.takeOutput();
-    // Another thread's port has sent them past us, and is silent until now.
-    if (sent && channel) channel.postMessage({ type: "resume" });
-    else line.write(bytes);
-    pump();
+    frames.came({ shot: null, reason: "stopped" });
+    line.stop(sent);
   },
 
   order({ order }) {
@@ -552,12 +333,12 @@ const answers = {
     else if (order.name === "here") rig.setPosition(now(), 0, 0);
     else if (order.name === "home" || order.name === "unlock" || order.name === "release" || order.name === "reset") rig[order.name](now());
     else rig[order.name]();
-    pump();
+    line.pump();
     return { projected };
   },
 
   async begin({ mode: next, settings, camera: chosen, stored }) {
-    if (!line) throw new Error("Connect the arm first: the simulated one needs no hardware.");
+    if (!line.opened) throw new Error("Connect the arm first: the simulated one needs no hardware.");
     if (preparing) throw new Error("A capture is being prepared: wait, or end that with Pause.");
     const { signal } = preparing = new AbortController();
     show();
@@ -570,14 +351,14 @@ const answers = {
       preparing = null;
       show();
     }
-    if (!line) throw new Error("The arm was disconnected meanwhile: connect it, then go on.");
+    if (!line.opened) throw new Error("The arm was disconnected meanwhile: connect it, then go on.");
     mode = next;
-    pump();
+    line.pump();
   },
 
   pause() {
     preparing?.abort();
-    shotCame?.({ shot: null, reason: "paused" });
+    frames.came({ shot: null, reason: "paused" });
     mode = "idle";
     progress = "Paused.";
     show();
@@ -596,12 +377,12 @@ const answers = {
   },
 
   exposed(came) {
-    shotCame?.(came);
+    frames.came(came);
   },
 
   look({ shot, camera: from }) {
     frame?.free();
-    frame = frameOf(shot, from);
+    frame = frameOf(lib, shot, from);
     if (!mask || mask.width !== frame.width || mask.height !== frame.height) {
       mask?.free();
       mask = new lib.MaskDrawing(frame.width, frame.height);
@@ -645,7 +426,7 @@ const answers = {
 
   relight(light) {
     sun = light;
-    return take(rig.relight(light.azimuth, light.slant));
+    return optional(rig.relight(light.azimuth, light.slant));
   },
 
   async keep({ folder: chosen, settings }) {
@@ -687,8 +468,7 @@ self.onmessage = async ({ data }) => {
     await ready;
     const answer = /** @type {(body: object) => any} */ (answers[kind]);
     const value = await answer(body);
-    const buffer = value?.picture?.data ?? value?.data ?? (value instanceof ArrayBuffer ? value : null);
-    self.postMessage({ id, type: "done", value }, { transfer: buffer ? [buffer] : [] });
+    self.postMessage({ id, type: "done", value }, { transfer: buffers(value) });
   } catch (error) {
     self.postMessage({ id, type: "failed", error: told(error) });
   }
