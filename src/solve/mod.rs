@@ -164,15 +164,34 @@ pub trait Solver {
     fn solve(&self, measurements: &Measurements) -> Result<Solution, SolveError>;
 }
 
+/// What there is to know of a solver before it is built.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Info {
+    /// Name on the command line, in results and permalinks.
+    pub name: &'static str,
+    /// Name in tables and menus.
+    pub label: &'static str,
+    /// One line on how it works.
+    pub about: &'static str,
+}
+
 /// Names that [`by_name`] knows, with a line for people.
-pub const SOLVERS: &[(&str, &str)] = &[
-    ("ls", "least squares over all images (Woodham 1980)"),
-    ("trimmed", "least squares without each pixel's darkest and brightest values"),
-    ("l1", "least absolute residuals, iteratively reweighted"),
-    ("huber", "Huber's loss, iteratively reweighted"),
-    ("cauchy", "Cauchy's loss, iteratively reweighted"),
-    ("sbr", "sparse Bayesian regression (Ikehata et al. 2012)"),
-    ("pixel", "learned: a set network over each pixel's observations, trained on synthetic pixels"),
+pub const SOLVERS: &[Info] = &[
+    Info { name: "ls", label: "Least squares", about: "least squares over all images (Woodham 1980)" },
+    Info {
+        name: "trimmed",
+        label: "Trimmed",
+        about: "least squares without each pixel's darkest and brightest values",
+    },
+    Info { name: "l1", label: "L1", about: "least absolute residuals, iteratively reweighted" },
+    Info { name: "huber", label: "Huber", about: "Huber's loss, iteratively reweighted" },
+    Info { name: "cauchy", label: "Cauchy", about: "Cauchy's loss, iteratively reweighted" },
+    Info { name: "sbr", label: "Sparse Bayes", about: "sparse Bayesian regression (Ikehata et al. 2012)" },
+    Info {
+        name: pixel::NAME,
+        label: "Learned",
+        about: "learned: a set network over each pixel's observations, trained on synthetic pixels",
+    },
 ];
 
 /// Why there is no such solver.
@@ -190,7 +209,7 @@ pub struct UnknownSolver {
 /// # Errors
 /// [`UnknownSolver`] with the names there are.
 pub fn check_name(name: &str) -> Result<(), UnknownSolver> {
-    let known = || SOLVERS.iter().map(|s| s.0);
+    let known = || SOLVERS.iter().map(|s| s.name);
     if known().any(|n| n == name) {
         return Ok(());
     }
@@ -213,7 +232,7 @@ pub fn by_name(name: &str) -> Result<Box<dyn Solver>, UnknownSolver> {
         pixel::NAME => Ok(Box::new(PixelNetwork::shipped())),
         _ => {
             check_name(name)?;
-            let known = SOLVERS.iter().map(|s| s.0).filter(|&n| n != pixel::NAME);
+            let known = SOLVERS.iter().map(|s| s.name).filter(|&n| n != pixel::NAME);
             Err(UnknownSolver { name: name.into(), known: known.collect::<Vec<_>>().join(", ") })
         }
     }

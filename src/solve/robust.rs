@@ -248,7 +248,7 @@ mod tests {
 
     /// Every solver there is, for what must hold for all.
     fn all() -> Vec<Box<dyn Solver>> {
-        SOLVERS.iter().map(|s| by_name(s.0).unwrap()).collect()
+        SOLVERS.iter().map(|s| by_name(s.name).unwrap()).collect()
     }
 
     fn solve(solver: &dyn Solver, lights: &[Vec3], images: &[Vec<f32>], saturation: Option<f32>) -> Solution {
@@ -413,7 +413,7 @@ mod tests {
     #[test]
     fn names_lead_to_solvers() {
         for solver in all() {
-            assert!(SOLVERS.iter().any(|s| s.0 == solver.name()));
+            assert!(SOLVERS.iter().any(|s| s.name == solver.name()));
         }
         assert!(by_name("least").err().unwrap().to_string().contains("ls, trimmed"));
     }

@@ -93,7 +93,7 @@ mod tests {
             images: images.iter().map(Vec::as_slice).collect(),
             saturated: Vec::new(),
         };
-        for (name, _) in SOLVERS {
+        for name in SOLVERS.iter().map(|s| s.name) {
             let solver = by_name(name).unwrap();
             let whole = solver.solve(&measurements).unwrap();
             let mut normals = vec![Vec3::ZERO; mask.len()];

@@ -19,18 +19,13 @@ pub fn catalogue() -> Result<JsValue, JsError> {
     #[derive(Serialize)]
     struct Catalogue {
         planners: &'static [crate::planner::Info],
-        solvers: Vec<Named>,
+        solvers: &'static [solve::Info],
         protocols: [&'static str; 2],
         version: &'static str,
     }
-    #[derive(Serialize)]
-    struct Named {
-        name: &'static str,
-        about: &'static str,
-    }
     plain(&Catalogue {
         planners: PLANNERS,
-        solvers: SOLVERS.iter().map(|&(name, about)| Named { name, about }).collect(),
+        solvers: SOLVERS,
         protocols: ["official", "128"],
         version: env!("CARGO_PKG_VERSION"),
     })

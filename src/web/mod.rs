@@ -51,7 +51,7 @@ export type Direction = [number, number, number];
 /** What this build can compute. */
 export interface Catalogue {
   planners: PlannerInfo[];
-  solvers: { name: string; about: string }[];
+  solvers: { name: string; label: string; about: string }[];
   protocols: ("official" | "128")[];
   version: string;
 }

@@ -50,7 +50,7 @@ export function mountChart(root, { store, actions }) {
     }
     host.replaceChildren(plot(series, Math.max(280, host.clientWidth), state, known, actions));
     const missing = state.runs.size && !state.running && series.some(({ planner, points }) => points.length < (state.runs.get(planner)?.length ?? 0) - FIRST);
-    note.textContent = `${missing ? "The curves are being completed. " : ""}First draw of each planner, ${solverLabel(state.shown.solver).toLowerCase()}. ${known ? "Lower is better; the oracle sees the truth." : "What the solver itself expects, as this object has no true normals: planners that differ by little may truly be the other way round."}`;
+    note.textContent = `${missing ? "The curves are being completed. " : ""}First draw of each planner, ${solverLabel(state.catalogue, state.shown.solver).toLowerCase()}. ${known ? "Lower is better; the oracle sees the truth." : "What the solver itself expects, as this object has no true normals: planners that differ by little may truly be the other way round."}`;
   };
   store.watch(["runs", "shown", "object"], redraw);
   let width = 0;

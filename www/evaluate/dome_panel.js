@@ -126,7 +126,7 @@ export function mountDome(root, { page, store, actions }) {
   store.watch(["ran", "catalogue"], ({ ran, catalogue, shown }) => {
     const names = ran?.planners ?? [];
     planner.replaceChildren(...names.map(name => html("option", { value: name, selected: name === shown.planner }, label(catalogue, name))));
-    solver.replaceChildren(...(ran?.solvers ?? []).map(name => html("option", { value: name, selected: name === shown.solver }, solverLabel(name))));
+    solver.replaceChildren(...(ran?.solvers ?? []).map(name => html("option", { value: name, selected: name === shown.solver }, solverLabel(catalogue, name))));
     solver.hidden = (ran?.solvers.length ?? 0) < 2;
   });
   let bare = true;

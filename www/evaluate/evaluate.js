@@ -374,5 +374,5 @@ const ADVICE = {
 /** @param {Report} report @param {Catalogue | null} catalogue */
 function summary(report, catalogue) {
   const best = report.results.filter(row => row.mae !== null && !row.oracle).sort((a, b) => (a.mae ?? 0) - (b.mae ?? 0))[0];
-  return best ? `Done. Best: ${label(catalogue, best.planner)} with ${solverLabel(best.solver)}, ${best.mae?.toFixed(2)} degrees.` : "Done.";
+  return best ? `Done. Best: ${label(catalogue, best.planner)} with ${solverLabel(catalogue, best.solver)}, ${best.mae?.toFixed(2)} degrees.` : "Done.";
 }

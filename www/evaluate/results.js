@@ -67,7 +67,7 @@ export function mountResults(root, { page, store, actions }) {
     const best = Math.min(...fair.flatMap(row => row.mae ?? []));
     const known = object?.truth !== false;
     const single = known ? ["MAE", "95 % interval"] : ["Predicted MAE"];
-    const head = ["Planner", "T", ...(solvers.length > 1 ? solvers.map(solverLabel) : single), ...(blended ? ["Photos"] : []), "Off by"];
+    const head = ["Planner", "T", ...(solvers.length > 1 ? solvers.map(solver => solverLabel(catalogue, solver)) : single), ...(blended ? ["Photos"] : []), "Off by"];
     const planners = Map.groupBy([...rows].sort((a, b) => place(a) - place(b)), row => row.planner);
     const body = [...planners].map(([planner, group]) => {
       const [first] = group;
@@ -100,7 +100,7 @@ export function mountResults(root, { page, store, actions }) {
       if (row.error) return html("td", {}, row.error);
       const pressed = row.planner === shown.planner && row.solver === shown.solver;
       const half = row.ci95 ? ((row.ci95[1] - row.ci95[0]) / 2).toFixed(2) : "0.00";
-      const show = html("button", { type: "button", class: "link", "aria-pressed": String(pressed), "data-shows": `${row.planner} ${row.solver}`, "aria-label": `${degrees(row)}, ${label(catalogue, row.planner)}, ${solverLabel(row.solver)}` }, degrees(row));
+      const show = html("button", { type: "button", class: "link", "aria-pressed": String(pressed), "data-shows": `${row.planner} ${row.solver}`, "aria-label": `${degrees(row)}, ${label(catalogue, row.planner)}, ${solverLabel(catalogue, row.solver)}` }, degrees(row));
       show.addEventListener("click", () => actions.show({ planner: row.planner, solver: row.solver }));
       return html("td", { class: mark(row) }, show, ...(half === "0.00" ? [] : [html("small", {}, `±${half}`)]));
     }
@@ -111,7 +111,7 @@ export function mountResults(root, { page, store, actions }) {
       !known && "This object has no true normals: shown is what each solver expects its own error to be.",
       known && solvers.length > 1 && ran.draws > 1 && "± is half of the 95 % interval.",
       "“Off by”: mean angle between the light asked for and the light used.",
-      ran.stop_at && `Runs end where ${solverLabel(ran.solvers[0])} predicts at most ${ran.stop_at}°; T is the mean of what was taken.`,
+      ran.stop_at && `Runs end where ${solverLabel(catalogue, ran.solvers[0])} predicts at most ${ran.stop_at}°; T is the mean of what was taken.`,
     ] : [];
     note.textContent = caption.filter(Boolean).join(" ");
     const held = scroll.contains(document.activeElement) ? document.activeElement?.getAttribute("data-shows") : null;

@@ -55,12 +55,13 @@ export function swatch(planner) {
     svg("path", { d: "M0 6H26", "stroke-dasharray": dash(planner) }), marker(planner, 13, 6, 4));
 }
 
-/** @type {Record<string, string>} */
-const SOLVERS = { ls: "Least squares", trimmed: "Trimmed", l1: "L1", huber: "Huber", cauchy: "Cauchy", sbr: "Sparse Bayes", pixel: "Learned" };
-
-/** The name of a solver for people. @param {string} solver */
-export function solverLabel(solver) {
-  return SOLVERS[solver] ?? solver;
+/**
+ * The name of a solver for people.
+ * @param {import("../messages.js").Catalogue | null} catalogue
+ * @param {string} solver
+ */
+export function solverLabel(catalogue, solver) {
+  return catalogue?.solvers.find(s => s.name === solver)?.label ?? solver;
 }
 
 /** A mean error for people; one that is only predicted says so, and no more than is known. @param {number} degrees @param {boolean} known */

@@ -2,7 +2,7 @@
 
 import { stopAt } from "../settings.js";
 import { find, html } from "../svg.js";
-import { label, solverLabel, swatch } from "./series.js";
+import { label, swatch } from "./series.js";
 
 /** @typedef {import("./evaluate.js").Panel} Panel */
 
@@ -90,10 +90,10 @@ export function mountSettings(root, { page, store, actions }) {
     withheld.hidden = !catalogue.withheld;
     withheld.textContent = catalogue.withheld;
     planners.replaceChildren(...catalogue.planners.map(({ name, about }) => planner(name, catalogue, about)));
-    solvers.replaceChildren(...catalogue.solvers.map(({ name, about }) => {
+    solvers.replaceChildren(...catalogue.solvers.map(({ name, label: text, about }) => {
       const id = `solver-${name}`;
       return html("div", { class: "choice" }, html("input", { type: "checkbox", id, value: name, "aria-describedby": `${id}-about` }),
-        html("label", { for: id, title: about }, solverLabel(name)), html("small", { id: `${id}-about`, class: "hidden" }, about));
+        html("label", { for: id, title: about }, text), html("small", { id: `${id}-about`, class: "hidden" }, about));
     }));
   });
   store.watch(["settings", "catalogue"], ({ settings, catalogue }) => {

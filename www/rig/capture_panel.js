@@ -147,7 +147,7 @@ export function mountCapture({ page, client, fields, say, failed }, camera) {
       select(".rig-planner").replaceChildren(...planners.map(p => html("option", { value: p.name, selected: p.name === ours }, p.label)));
       $(".rig-withheld").hidden = !catalogue.withheld;
       $(".rig-withheld").textContent = catalogue.withheld;
-      select(".rig-solver").replaceChildren(...catalogue.solvers.filter(s => s.name !== "pixel").map(s => html("option", { value: s.name, selected: s.name === "trimmed", title: s.about }, s.name)));
+      select(".rig-solver").replaceChildren(...catalogue.solvers.filter(s => s.name !== "pixel").map(s => html("option", { value: s.name, selected: s.name === "trimmed", title: s.about }, s.label)));
     },
 
     /**

@@ -74,7 +74,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let generator = Generator::new(Split::Train);
     let unseen = Generator::new(Split::Validation);
     let benches: Vec<_> = LIGHTS.iter().map(|&t| bench(&unseen, VALIDATION_SEED, t, 60, 32)).collect();
-    for (name, _) in solve::SOLVERS.iter().filter(|s| s.0 != "pixel") {
+    for name in solve::SOLVERS.iter().map(|s| s.name).filter(|n| *n != solve::pixel::NAME) {
         println!("validation {name:8} {}", validate(&*solve::by_name(name)?, &benches)?);
     }
     let begun = Instant::now();

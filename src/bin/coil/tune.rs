@@ -83,7 +83,7 @@ fn fit_expected(args: &Args, out: &Path) -> anyhow::Result<ExitCode> {
     );
     let fitted: Vec<anyhow::Result<_>> = solve::SOLVERS
         .par_iter()
-        .map(|&(name, _)| {
+        .map(|&solve::Info { name, .. }| {
             let solver = solve::by_name(name)?;
             let judge = expectation::fit(&expectation::samples(&*solver, &pixels)?, args.seed);
             let mut line = format!("{name:8}");
