@@ -1,36 +1,12 @@
 //! `coil render` as a user runs it: stacks that `coil eval` reads, shards, poses, errors.
 #![cfg(feature = "cli")]
 
+#[path = "support/cli.rs"]
+mod cli;
+
+use cli::{coil, command, folder, good, refused, text};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
-
-fn coil(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_coil")).args(args).output().expect("coil runs")
-}
-
-fn good(args: &[&str]) -> String {
-    let out = coil(args);
-    assert!(out.status.success(), "{args:?}: {}", String::from_utf8_lossy(&out.stderr));
-    String::from_utf8(out.stdout).unwrap()
-}
-
-fn refused(args: &[&str]) -> String {
-    let out = coil(args);
-    assert_eq!(out.status.code(), Some(2), "{args:?}");
-    String::from_utf8(out.stderr).unwrap()
-}
-
-/// A fresh folder of this test.
-fn folder(name: &str) -> PathBuf {
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
-    let _ = std::fs::remove_dir_all(&path);
-    std::fs::create_dir_all(&path).unwrap();
-    path
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
+use std::process::Command;
 
 /// Checksums of the objects of a manifest.
 fn checksums(file: &Path) -> Vec<(String, String)> {
@@ -140,14 +116,13 @@ fn output_that_nobody_reads_is_no_error() {
     let args = ["render", "sphere", "--lights", "fibonacci:4", "--size", "16", "--json", "--out", text(&out)];
     let (reader, writer) = std::io::pipe().unwrap();
     drop(reader);
-    let mut command = Command::new(env!("CARGO_BIN_EXE_coil"));
-    let done = command.args(args).stdout(writer).stderr(Stdio::piped()).output().unwrap();
+    let done = command(&args).stdout(writer).stderr(Stdio::piped()).output().unwrap();
     let log = String::from_utf8_lossy(&done.stderr);
     assert!(done.status.success() && log.is_empty(), "{log}");
     assert!(out.join("render.json").is_file());
     if Path::new("/dev/full").exists() {
         let full = std::fs::File::create("/dev/full").unwrap();
-        let done = Command::new(env!("CARGO_BIN_EXE_coil")).args(["info", text(&out)]).stdout(full).output();
+        let done = command(&["info", text(&out)]).stdout(full).output();
         let done = done.unwrap();
         assert!(done.status.code() == Some(2) && String::from_utf8_lossy(&done.stderr).contains("disk full"));
     }
@@ -158,7 +133,7 @@ fn the_study_writes_what_it_is_asked_to() {
     let out = folder("study");
     let study = |more: &[&str]| {
         let args = ["study", "k", "sphere", "--size", "16", "--k", "4,6", "--lights", "3..5"];
-        let run = Command::new(env!("CARGO_BIN_EXE_coil")).args(args).args(more).current_dir(&out).output();
+        let run = command(&args).args(more).current_dir(&out).output();
         let run = run.unwrap();
         assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
         String::from_utf8(run.stdout).unwrap()
@@ -169,7 +144,8 @@ fn the_study_writes_what_it_is_asked_to() {
         assert!(out.join(plot).is_file(), "{plot}");
     }
     good(&["render", "sphere", "--lights", "fibonacci:4", "--size", "16", "--out", text(&out)]);
-    let short = coil(&["study", "k", text(&out), "--k", "9", "--lights", "3..5"]);
+    let args = ["study", "k", text(&out), "--k", "9", "--lights", "3..5"];
+    let short = command(&args).current_dir(&out).output().unwrap();
     let log = String::from_utf8_lossy(&short.stderr);
     assert!(short.status.code() == Some(1) && log.contains("4 photos for up to 5 lights"), "{log}");
 }

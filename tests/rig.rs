@@ -1,6 +1,10 @@
 //! `coil arm`, `coil capture` and `coil calibrate` as a user runs them, against the simulated board.
 #![cfg(feature = "cli")]
 
+#[path = "support/cli.rs"]
+mod cli;
+
+use cli::{bad, coil, command, folder, good, text};
 use coil_ps::camera::Camera as _;
 use coil_ps::image::encode_rgb;
 use coil_ps::rig::camera::{Sensor, SimulatedCamera, Sphere};
@@ -10,44 +14,8 @@ use coil_ps::solve::{LeastSquares, Measurements, Solver as _};
 use coil_ps::{error, light};
 use glam::Vec3;
 use std::io::{BufRead, BufReader, Read, Write};
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
-
-fn command(args: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_coil"));
-    command.args(args);
-    command
-}
-
-fn coil(args: &[&str]) -> Output {
-    command(args).output().expect("coil runs")
-}
-
-fn good(args: &[&str]) -> String {
-    let out = coil(args);
-    assert!(out.status.success(), "{args:?}: {}", String::from_utf8_lossy(&out.stderr));
-    String::from_utf8(out.stdout).unwrap()
-}
-
-/// What it says when it ends with that status.
-fn bad(status: i32, args: &[&str]) -> String {
-    let out = coil(args);
-    let said = String::from_utf8(out.stderr).unwrap();
-    assert_eq!(out.status.code(), Some(status), "{args:?}: {said}");
-    said
-}
-
-/// A fresh folder of this test.
-fn folder(name: &str) -> PathBuf {
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("rig").join(name);
-    let _ = std::fs::remove_dir_all(&path);
-    std::fs::create_dir_all(&path).unwrap();
-    path
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
+use std::path::Path;
+use std::process::{Command, Stdio};
 
 fn record(session: &Path) -> Record {
     let back = resume(|name| std::fs::read(session.join(name)).ok()).unwrap();
