@@ -502,8 +502,8 @@ impl<'a> Capture<'a> {
             Stage::Confirming { plan, since } => {
                 let plan = *plan;
                 let Some(status) = link.status_after(*since) else { return Action::Wait(None) };
-                let full = link.settings().get(&30).copied().unwrap_or(1000.0);
-                let led = status.spindle.is_none_or(|s| (s - self.options.brightness.min(full)).abs() <= 1.0);
+                let wanted = self.options.brightness.min(link.full_brightness());
+                let led = status.spindle.is_none_or(|s| (s - wanted).abs() <= 1.0);
                 if status.state == State::Idle && led {
                     self.stage = Stage::Developing { plan };
                     return Action::Develop;

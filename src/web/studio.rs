@@ -613,11 +613,10 @@ impl Rig {
         led: f64,
         milliseconds: f64,
     ) -> Result<(), JsError> {
-        let full = self.link.settings().get(&30).copied().filter(|v| *v > 0.0).unwrap_or(1000.0);
+        let brightness = self.link.lit(led);
         let studio = self.studio.as_mut().ok_or_else(|| fail("no capture is under way"))?;
         let sim = studio.simulation.as_mut().ok_or_else(|| fail("this capture has a camera of its own"))?;
         let direction = sim.mount.direction(Joints { azimuth, slant });
-        let brightness = (led / full).clamp(0.0, 1.0) as f32;
         let scene = SceneCamera::new(&sim.scene);
         let exposure =
             sim.camera.expose(&scene, direction, brightness, milliseconds / 1000.0).map_err(fail)?;

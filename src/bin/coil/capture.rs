@@ -167,9 +167,9 @@ impl Source<'_> {
         match self {
             Self::Simulated { scene, camera, mount, .. } => {
                 let (joints, led) = where_the_light_is(driver)?;
-                let full = driver.link().settings().get(&30).copied().filter(|v| *v > 0.0).unwrap_or(1000.0);
+                let brightness = driver.link().lit(led);
                 let direction = mount.direction(joints);
-                let exposure = camera.expose(*scene, direction, (led / full) as f32, seconds)?;
+                let exposure = camera.expose(*scene, direction, brightness, seconds)?;
                 // Exposure and read-out of 5 million 12-bit pixels over USB 3.
                 driver.spend(Duration::from_secs_f64(seconds + 0.03));
                 Ok(exposure)
