@@ -6,6 +6,7 @@ use super::{fail, plain};
 use crate::arm::Joints;
 use crate::arm::kinematics::{Arm, Mount};
 use crate::camera::{Camera as _, Domain};
+use crate::dataset::Limits;
 use crate::dataset::archive::write_zip;
 use crate::light;
 use crate::planner::{self, Setup};
@@ -189,7 +190,7 @@ impl Frame {
     /// From a file (PNG or TIFF, linear) of `milliseconds`; `white` is the code value of saturation, by default the file's
     /// largest.
     pub fn decode(bytes: &[u8], milliseconds: f64, black: u16, white: Option<u16>) -> Result<Self, JsError> {
-        let image = decode_frame(bytes, 1 << 26).map_err(fail)?;
+        let image = decode_frame(bytes, Limits::default().pixels).map_err(fail)?;
         let largest = if image.bits == BitDepth::Eight { 255 } else { u16::MAX };
         Ok(Self(Exposure { image, seconds: milliseconds / 1000.0, black, white: white.unwrap_or(largest) }))
     }

@@ -9,6 +9,7 @@ use coil_ps::arm::grbl::{Command, Failure, Phase, Trust};
 use coil_ps::arm::kinematics::{Arm, Mount, Severity, check_settings};
 use coil_ps::arm::line::State;
 use coil_ps::camera::{Camera, Domain};
+use coil_ps::dataset::Limits;
 use coil_ps::dataset::diligent::normals_mat;
 use coil_ps::rig::camera::{Sensor, SimulatedCamera, SimulatedView};
 use coil_ps::rig::capture::{Action, Capture, Options, Stuck};
@@ -235,7 +236,7 @@ fn where_the_light_is(driver: &mut Driver) -> anyhow::Result<(Joints, f64)> {
 /// A picture file of a camera.
 pub fn read_frame(path: &Path) -> anyhow::Result<coil_ps::image::Image> {
     let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
-    decode_frame(&bytes, 1 << 28).with_context(|| path.display().to_string())
+    decode_frame(&bytes, Limits::default().pixels).with_context(|| path.display().to_string())
 }
 
 /// Waits for a file that was not there before and has stopped growing; keeps the link alive meanwhile.
@@ -621,7 +622,8 @@ fn check_same(begun: &Record, now: &Record) -> anyhow::Result<()> {
 
 fn read_mask(path: &Path) -> anyhow::Result<Mask> {
     let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
-    let image = coil_ps::image::decode_png(&bytes, 1 << 28).with_context(|| path.display().to_string())?;
+    let image = coil_ps::image::decode_png(&bytes, Limits::default().pixels)
+        .with_context(|| path.display().to_string())?;
     Mask::from_image(&image).with_context(|| path.display().to_string())
 }
 
