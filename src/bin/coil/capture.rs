@@ -457,7 +457,13 @@ fn session(
         if args.resume { Some(store::resume(|name| std::fs::read(args.out.join(name)).ok())?) } else { None };
     if let Some(resumed) = &resumed {
         check_same(&resumed.record, &setup)?;
-        arm = resumed.record.arm.clone();
+        let begun = resumed.record.arm.clone();
+        if begun != (Arm { axes: begun.axes, ..arm }) {
+            eprintln!(
+                "warning: the arm's configuration was another one until now: the session goes on with that"
+            );
+        }
+        arm = begun;
     }
     for warning in check_board(driver.link(), &arm, args.brightness)? {
         eprintln!("warning: {}", warning.text);
