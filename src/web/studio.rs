@@ -15,7 +15,7 @@ use crate::rig::camera::{Average, Sensor, SimulatedCamera, SimulatedView};
 use crate::rig::capture::{Action, Capture, Options, Stuck};
 use crate::rig::drawing::{self, preview};
 use crate::rig::hdr::{Crop, Exposure, merge, threshold_level, threshold_mask};
-use crate::rig::setup::{Setup, check_board};
+use crate::rig::setup::{Setup, check_board, with_axes};
 use crate::rig::sphere::{self, Circle};
 use crate::rig::store::{self, Write};
 use crate::rig::tiff::decode_frame;
@@ -657,10 +657,11 @@ impl Rig {
         Ok(vec![m.azimuth, m.slant, m.tilt[0], m.tilt[1], before, after, fit.residuals.len() as f64])
     }
 
-    /// The arm's configuration as JSON, as `--config` of the command line takes it.
+    /// The arm's configuration as JSON, as `--config` of the command line takes it; with the board's axes, for a `Rig` that
+    /// plans before it has read them itself.
     #[wasm_bindgen(js_name = armConfig)]
     pub fn arm_config(&self) -> Result<String, JsError> {
-        serde_json::to_string_pretty(&self.arm).map_err(fail)
+        serde_json::to_string_pretty(&with_axes(self.arm.clone(), &self.link)).map_err(fail)
     }
 
     /// Takes a configuration of the arm.
