@@ -165,6 +165,8 @@ fn what_a_planner_cannot_plan_is_refused_before_anything_moves() {
     };
     assert!(refused(&["--planner", "lipids", "-t", "7"]).contains("3, 5 and 10"));
     assert!(refused(&["--solver", "magic"]).contains("magic"));
+    assert!(refused(&["--brightness", "0"]).contains("brightness 0: above 0 and up to 100000"));
+    assert!(refused(&["--nearby", "45"]).contains("nearby 45: 0 to 30 degrees"));
     if cfg!(feature = "policy") {
         let log = refused(&["--planner", "coil", "-t", "40"]);
         assert!(log.contains("coil is not defined for 40 lights: it plans at most 32"), "{log}");

@@ -359,6 +359,19 @@ impl Link {
         [0, 1].map(|i| AxisLimits { rate: get(110 + i, 500.0), acceleration: get(120 + i, 10.0) })
     }
 
+    /// Spindle speed at which the LED is fully lit, the most that the firmware ever reports; Grbl's default until it is read.
+    #[must_use]
+    pub fn full_brightness(&self) -> f64 {
+        self.settings.get(&30).copied().unwrap_or(1000.0)
+    }
+
+    /// What the LED gives at a reported spindle speed, 0 to 1. A board with `$30=0` reports 0 whatever it does.
+    #[must_use]
+    pub fn lit(&self, speed: f64) -> f32 {
+        let full = self.full_brightness();
+        if full > 0.0 { (speed / full).clamp(0.0, 1.0) as f32 } else { 0.0 }
+    }
+
     // ---- the port ----
 
     /// The port was opened.
@@ -898,6 +911,7 @@ impl Link {
     fn check(&mut self, now: Duration, state: State) {
         let joints = self.joints();
         let spindle = self.status.as_ref().and_then(|s| s.spindle);
+        let full = self.full_brightness();
         let Some((operation, stage)) = &mut self.current else { return };
         if matches!(state, State::Alarm | State::Sleep)
             && !matches!(
@@ -950,7 +964,6 @@ impl Link {
                     }
                 }
                 (Command::Light(brightness), _) if state == State::Idle => {
-                    let full = self.settings.get(&30).copied().unwrap_or(1000.0);
                     let wanted = brightness.min(full);
                     if spindle.is_none_or(|s| (s - wanted).abs() <= 1.0) {
                         self.finish(now, Ok(()));

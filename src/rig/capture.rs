@@ -5,6 +5,7 @@
 //! the session holds every light before the one in flight, and goes on from there.
 
 use super::hdr::{Exposure, HdrError, merge};
+use super::setup::check_board;
 use super::sphere;
 use super::store::{self, Record, Resumed, Shot, StoreError, Timings, Write};
 use crate::arm::grbl::{Command, Event, Failure, Link, Phase, Ticket, Trust};
@@ -191,6 +192,8 @@ pub struct Capture<'a> {
     /// The LED was switched off for the dark frames.
     unlit: bool,
     disturbed: bool,
+    /// The board's settings were looked at since the port was opened.
+    fits: bool,
     halted_since: Option<Duration>,
     recoveries: u32,
     next_number: usize,
@@ -212,6 +215,7 @@ impl<'a> Capture<'a> {
             lit: false,
             unlit: false,
             disturbed: false,
+            fits: false,
             halted_since: None,
             recoveries: 0,
             next_number: 1,
@@ -338,6 +342,8 @@ impl<'a> Capture<'a> {
                 self.stick(Stuck::Disconnected(why.clone().unwrap_or_else(|| "the port was closed".into())));
             }
             Event::Alarm(_) | Event::Restarted | Event::Phase(Phase::Opening) => {
+                // It may be another board by now.
+                self.fits = false;
                 self.lit = false;
                 self.disturbed = true;
             }
@@ -502,8 +508,8 @@ impl<'a> Capture<'a> {
             Stage::Confirming { plan, since } => {
                 let plan = *plan;
                 let Some(status) = link.status_after(*since) else { return Action::Wait(None) };
-                let full = link.settings().get(&30).copied().unwrap_or(1000.0);
-                let led = status.spindle.is_none_or(|s| (s - self.options.brightness.min(full)).abs() <= 1.0);
+                let wanted = self.options.brightness.min(link.full_brightness());
+                let led = status.spindle.is_none_or(|s| (s - wanted).abs() <= 1.0);
                 if status.state == State::Idle && led {
                     self.stage = Stage::Developing { plan };
                     return Action::Develop;
@@ -593,6 +599,13 @@ impl<'a> Capture<'a> {
             return Action::Wait(None);
         }
         self.disturbed = false;
+        if !self.fits {
+            if let Err(error) = check_board(link, &self.record.arm, self.options.brightness) {
+                self.stick(Stuck::Failed(error.to_string()));
+                return self.next_stuck();
+            }
+            self.fits = true;
+        }
         let command = if matches!(state, State::Sleep | State::Check)
             || (state == State::Alarm && matches!(link.alarm(), Some(1 | 2)))
         {

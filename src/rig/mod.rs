@@ -7,6 +7,7 @@ pub mod camera;
 pub mod capture;
 pub mod drawing;
 pub mod hdr;
+pub mod setup;
 pub mod sphere;
 pub mod store;
 pub mod thrifty;

@@ -11,6 +11,7 @@ use super::sphere::Circle;
 use crate::arm::Joints;
 use crate::arm::kinematics::Arm;
 use crate::camera::Observation;
+use crate::dataset::Limits;
 use crate::dataset::diligent::{decode_pixels, encode_pixels};
 use crate::dataset::lp::write_lp;
 use crate::image;
@@ -311,7 +312,8 @@ pub fn resume(mut read: impl FnMut(&str) -> Option<Vec<u8>>) -> Result<Resumed, 
     }
     record.arm.check().map_err(|e| StoreError::Record(format!("arm: {e}")))?;
     let mask = read("mask.png").ok_or_else(|| StoreError::Mask("not there".into()))?;
-    let mask = image::decode_png(&mask, 1 << 26).map_err(|e| StoreError::Mask(e.to_string()))?;
+    let mask =
+        image::decode_png(&mask, Limits::default().pixels).map_err(|e| StoreError::Mask(e.to_string()))?;
     let mask = Mask::from_image(&mask).map_err(|e| StoreError::Mask(e.to_string()))?;
     let (mut seen, mut damaged, mut kept) = (Vec::new(), Vec::new(), Vec::new());
     for shot in std::mem::take(&mut record.shots) {

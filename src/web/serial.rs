@@ -11,6 +11,7 @@ use crate::arm::kinematics::{Arm, Severity, check_settings};
 use crate::arm::simulated::Simulated;
 use crate::light;
 use crate::planner::Learned;
+use crate::rig::capture::Options;
 use glam::Vec3;
 use serde::Serialize;
 #[cfg(feature = "policy")]
@@ -201,6 +202,11 @@ impl Rig {
         }
     }
 
+    /// Puts a line of the program's own on the console.
+    pub(super) fn note(&mut self, text: String) {
+        self.log.push(Said { kind: "note", text });
+    }
+
     /// Console lines and failures since the last call: `{ kind, text }`.
     #[wasm_bindgen(js_name = takeLog, unchecked_return_type = "{ kind: string; text: string }[]")]
     pub fn take_log(&mut self) -> Result<JsValue, JsError> {
@@ -245,7 +251,9 @@ impl Rig {
     /// What does not fit in the firmware's settings: `{ kind: "error" | "warning", text }`.
     #[wasm_bindgen(unchecked_return_type = "{ kind: \"error\" | \"warning\"; text: string }[]")]
     pub fn findings(&self) -> Result<JsValue, JsError> {
-        let found = check_settings(self.link.settings(), self.link.work_offset(), &self.arm, 800.0);
+        // What a capture asks for in the end is checked when it begins.
+        let brightness = Options::default().brightness;
+        let found = check_settings(self.link.settings(), self.link.work_offset(), &self.arm, brightness);
         let said: Vec<Said> = found
             .into_iter()
             .map(|f| Said {

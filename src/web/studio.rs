@@ -5,21 +5,20 @@ use super::serial::{Rig, millis, time};
 use super::{fail, plain};
 use crate::arm::Joints;
 use crate::arm::kinematics::{Arm, Mount};
-use crate::camera::{Camera as _, Domain};
+use crate::camera::Camera as _;
+use crate::dataset::Limits;
 use crate::dataset::archive::write_zip;
 use crate::light;
-use crate::planner::{self, Setup};
 use crate::render::{self, Material, Options as SceneOptions, Pose, Scene, SceneCamera};
 use crate::rig::calibration::fit_mount;
 use crate::rig::camera::{Average, Sensor, SimulatedCamera, SimulatedView};
 use crate::rig::capture::{Action, Capture, Options, Stuck};
 use crate::rig::drawing::{self, preview};
 use crate::rig::hdr::{Crop, Exposure, merge, threshold_level, threshold_mask};
+use crate::rig::setup::{Setup, check_board, with_axes};
 use crate::rig::sphere::{self, Circle};
-use crate::rig::store::{self, Record, Resumed, Write};
-use crate::rig::thrifty::Thrifty;
+use crate::rig::store::{self, Write};
 use crate::rig::tiff::decode_frame;
-use crate::session::Session;
 use crate::solve::uncertainty::StopAt;
 use crate::solve::{self, Measurements, Solution, Solver};
 use crate::stack::{BitDepth, Mask};
@@ -189,7 +188,7 @@ impl Frame {
     /// From a file (PNG or TIFF, linear) of `milliseconds`; `white` is the code value of saturation, by default the file's
     /// largest.
     pub fn decode(bytes: &[u8], milliseconds: f64, black: u16, white: Option<u16>) -> Result<Self, JsError> {
-        let image = decode_frame(bytes, 1 << 26).map_err(fail)?;
+        let image = decode_frame(bytes, Limits::default().pixels).map_err(fail)?;
         let largest = if image.bits == BitDepth::Eight { 255 } else { u16::MAX };
         Ok(Self(Exposure { image, seconds: milliseconds / 1000.0, black, white: white.unwrap_or(largest) }))
     }
@@ -445,87 +444,44 @@ impl Rig {
         mask: Option<MaskDrawing>,
         files: Option<SessionFiles>,
     ) -> Result<(), JsError> {
-        let mut wanted: Settings = serde_wasm_bindgen::from_value(settings).map_err(fail)?;
+        let wanted: Settings = serde_wasm_bindgen::from_value(settings).map_err(fail)?;
         let resumed = match files {
             Some(files) => Some(store::resume(|n| files.0.get(n).cloned()).map_err(fail)?),
             None => None,
         };
-        if let Some(r) = &resumed {
-            wanted.follow(r);
+        let mut setup = wanted.setup();
+        if let Some(resumed) = &resumed {
+            setup.follow(&resumed.record);
         }
-        if !(3..=500).contains(&wanted.lights) {
-            return Err(fail(format!("{} lights: 3 to 500 are possible", wanted.lights)));
-        }
-        if wanted.exposures.is_empty() || wanted.exposures.iter().any(|e| !(*e > 0.0 && *e <= 60_000.0)) {
-            return Err(fail("exposure times: one or more, above 0 and up to 60000 ms"));
-        }
-        for (name, number) in [
-            ("largest slant", f64::from(wanted.reach)),
-            ("time to settle", wanted.settle),
-            ("brightness", wanted.brightness),
-        ] {
-            if !(number.is_finite() && number >= 0.0) {
-                return Err(fail(format!("{name}: {number} is not a number of at least 0")));
+        setup.check().map_err(fail)?;
+        let arm = resumed.as_ref().map_or(&self.arm, |r| &r.record.arm);
+        match check_board(&self.link, arm, setup.options.brightness) {
+            Ok(found) => {
+                // The rest was told when the arm was connected.
+                let told = check_board(&self.link, arm, Options::default().brightness).unwrap_or_default();
+                found.into_iter().filter(|f| !told.contains(f)).for_each(|f| self.note(f.text));
             }
+            Err(error) if resumed.is_none() => return Err(fail(error)),
+            // A session is shown whatever the board; it does not go on with this one.
+            Err(_) => {}
         }
-        let simulation = (wanted.camera == "sim").then(|| wanted.simulation()).transpose()?;
-        let (crop, mask) = match (&simulation, &resumed, mask) {
-            (Some(sim), ..) => {
-                let camera = SceneCamera::new(&sim.scene);
-                (sim.camera.crop(&camera), camera.mask().clone())
+        let simulation = setup.view().map(|view| Simulation::new(&setup, view)).transpose()?;
+        let capture = match (resumed, &simulation) {
+            (Some(resumed), _) => setup.go_on(&self.link, self.learned, resumed),
+            (_, Some(sim)) => {
+                let scene = SceneCamera::new(&sim.scene);
+                let (crop, ball) = (sim.camera.crop(&scene), sim.camera.ball(&scene));
+                let mask = scene.mask().clone();
+                setup.begin(&self.link, self.learned, self.arm.clone(), mask, crop, ball)
             }
-            (_, Some(resumed), _) => (resumed.record.crop, resumed.mask.clone()),
-            (_, _, Some(drawn)) => {
+            _ => {
+                let drawn = mask.ok_or_else(|| fail("draw the object's mask first"))?;
                 let (crop, mask) = cut(&drawn.0.mask().map_err(fail)?)?;
-                (Some(crop), mask)
-            }
-            _ => return Err(fail("draw the object's mask first")),
-        };
-        let setup = Setup {
-            lights: wanted.lights,
-            seed: wanted.seed.into(),
-            draw: 0,
-            camera: None,
-            truth: None,
-            learned: self.learned,
-        };
-        let mut chosen = planner::build(&wanted.planner, &setup).map_err(fail)?;
-        if let Some(degrees) = wanted.nearby {
-            let online = planner::info(&wanted.planner).map_err(fail)?.online;
-            chosen = Box::new(Thrifty::new(chosen, online, self.arm.clone(), degrees.to_radians()));
-        }
-        let reach = wanted.reach.clamp(1.0, 90.0).min(self.arm.reach() as f32).to_radians();
-        let session = Session::new(mask, Domain::Hemisphere { reach }, chosen, wanted.lights);
-        let options = Options {
-            exposures: wanted.exposures.iter().map(|ms| ms / 1000.0).collect(),
-            settle: wanted.settle.clamp(0.0, 30.0),
-            brightness: wanted.brightness,
-            shutter: wanted.shutter,
-            dark: wanted.dark,
-            auto_home: wanted.homing,
-            ..Options::default()
-        };
-        let capture = match resumed {
-            Some(resumed) => Capture::resume(session, resumed, options).map_err(fail)?,
-            None => {
-                let seed = wanted.seed.into();
-                let mut record =
-                    Record::new(&wanted.object, &wanted.planner, seed, wanted.lights, self.arm.clone());
-                record.camera = wanted.view().map_or_else(|| "frames of the page".into(), |v| v.to_string());
-                record.model = self.learned.and_then(|l| l.network(&wanted.planner, reach));
-                record.brightness = Some(wanted.brightness);
-                record.reach = Some(wanted.reach);
-                record.nearby = wanted.nearby;
-                record.dark = Some(wanted.dark);
-                record.firmware = format!("Grbl {}", self.link.version());
-                record.crop = crop;
-                record.sphere = match &simulation {
-                    Some(sim) => sim.camera.ball(&SceneCamera::new(&sim.scene)),
-                    None => wanted.sphere,
-                };
-                Capture::new(session, record, options)
+                let (arm, ball) = (self.arm.clone(), wanted.sphere);
+                setup.begin(&self.link, self.learned, arm, mask, Some(crop), ball)
             }
         };
+        let capture = capture.map_err(fail)?;
         let files = capture.opening_writes().map_err(fail)?;
         let solver = solve::by_name(&wanted.solver).map_err(fail)?;
         let stop_at = wanted.stop_at.map(StopAt::new);
@@ -613,11 +569,10 @@ impl Rig {
         led: f64,
         milliseconds: f64,
     ) -> Result<(), JsError> {
-        let full = self.link.settings().get(&30).copied().filter(|v| *v > 0.0).unwrap_or(1000.0);
+        let brightness = self.link.lit(led);
         let studio = self.studio.as_mut().ok_or_else(|| fail("no capture is under way"))?;
         let sim = studio.simulation.as_mut().ok_or_else(|| fail("this capture has a camera of its own"))?;
         let direction = sim.mount.direction(Joints { azimuth, slant });
-        let brightness = (led / full).clamp(0.0, 1.0) as f32;
         let scene = SceneCamera::new(&sim.scene);
         let exposure =
             sim.camera.expose(&scene, direction, brightness, milliseconds / 1000.0).map_err(fail)?;
@@ -702,10 +657,11 @@ impl Rig {
         Ok(vec![m.azimuth, m.slant, m.tilt[0], m.tilt[1], before, after, fit.residuals.len() as f64])
     }
 
-    /// The arm's configuration as JSON, as `--config` of the command line takes it.
+    /// The arm's configuration as JSON, as `--config` of the command line takes it; with the board's axes, for a `Rig` that
+    /// plans before it has read them itself.
     #[wasm_bindgen(js_name = armConfig)]
     pub fn arm_config(&self) -> Result<String, JsError> {
-        serde_json::to_string_pretty(&self.arm).map_err(fail)
+        serde_json::to_string_pretty(&with_axes(self.arm.clone(), &self.link)).map_err(fail)
     }
 
     /// Takes a configuration of the arm.
@@ -751,45 +707,48 @@ impl Rig {
 }
 
 impl Settings {
-    /// What the record of a session that goes on says counts.
-    fn follow(&mut self, resumed: &Resumed) {
-        let r = &resumed.record;
-        (self.planner, self.lights, self.seed) = (r.planner.clone(), r.lights, r.seed as u32);
-        self.object.clone_from(&r.object);
-        self.brightness = r.brightness.unwrap_or(self.brightness);
-        if let Some(reach) = r.reach {
-            (self.reach, self.nearby) = (reach, r.nearby);
-        }
-        self.dark = r.dark.unwrap_or(self.dark);
-        if let Some(shot) = r.shots.first() {
-            self.exposures = shot.exposures.iter().map(|s| s * 1000.0).collect();
-        }
-        self.camera = "frames".into();
-        self.sphere = r.sphere;
-        if let Some(view) = SimulatedView::parse(&r.camera) {
-            self.camera = "sim".into();
-            let Mount { azimuth, slant, tilt: [x, y] } = view.mount;
-            (self.object, self.material, self.size) = (view.object, view.material, view.size);
-            self.misaligned = [azimuth, slant, x, y];
-        }
-    }
-
-    fn view(&self) -> Option<SimulatedView> {
+    /// What is asked for.
+    fn setup(&self) -> Setup {
         let [azimuth, slant, x, y] = self.misaligned;
-        let mount = Mount { azimuth, slant, tilt: [x, y] };
-        let (object, material) = (self.object.clone(), self.material.clone());
-        (self.camera == "sim").then_some(SimulatedView { object, material, size: self.size, mount })
+        let view = SimulatedView {
+            object: self.object.clone(),
+            material: self.material.clone(),
+            size: self.size,
+            mount: Mount { azimuth, slant, tilt: [x, y] },
+        };
+        Setup {
+            object: self.object.clone(),
+            planner: self.planner.clone(),
+            lights: self.lights,
+            seed: self.seed.into(),
+            reach: self.reach,
+            nearby: self.nearby,
+            camera: if self.camera == "sim" { view.to_string() } else { "frames of the page".into() },
+            black: None,
+            white: None,
+            ball: self.sphere.is_some(),
+            options: Options {
+                exposures: self.exposures.iter().map(|ms| ms / 1000.0).collect(),
+                settle: self.settle,
+                brightness: self.brightness,
+                shutter: self.shutter,
+                dark: self.dark,
+                auto_home: self.homing,
+                ..Options::default()
+            },
+        }
     }
+}
 
-    fn simulation(&self) -> Result<Simulation, JsError> {
-        let shape = render::named(&self.object).map_err(fail)?;
+impl Simulation {
+    fn new(setup: &Setup, view: SimulatedView) -> Result<Self, JsError> {
+        let shape = render::named(&view.object).map_err(fail)?;
         let pose = Pose::fit(&shape, shape.front()).map_err(fail)?;
-        let made: Material = self.material.parse().map_err(fail)?;
-        let options = SceneOptions { size: self.size, ..SceneOptions::default() };
-        let scene = Scene::new(&self.object, &shape, &pose, &made.into(), &options).map_err(fail)?;
-        let camera = SimulatedCamera::new(Sensor::default(), self.seed.into(), self.sphere.is_some());
-        let [azimuth, slant, x, y] = self.misaligned;
-        Ok(Simulation { scene, camera, mount: Mount { azimuth, slant, tilt: [x, y] } })
+        let made: Material = view.material.parse().map_err(fail)?;
+        let options = SceneOptions { size: view.size, ..SceneOptions::default() };
+        let scene = Scene::new(&view.object, &shape, &pose, &made.into(), &options).map_err(fail)?;
+        let camera = SimulatedCamera::new(Sensor::default(), setup.seed, setup.ball);
+        Ok(Self { scene, camera, mount: view.mount })
     }
 }
 

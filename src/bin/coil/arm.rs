@@ -11,6 +11,7 @@ use coil_ps::arm::grbl::{Command, Event, Phase, Trust, Way};
 use coil_ps::arm::kinematics::{Arm, Severity, check_settings};
 use coil_ps::arm::line::State;
 use coil_ps::light;
+use coil_ps::rig::capture::Options;
 use std::collections::VecDeque;
 use std::io::{BufRead, IsTerminal};
 use std::path::{Path, PathBuf};
@@ -181,7 +182,7 @@ fn status(rig: &Rig) -> anyhow::Result<ExitCode> {
     } else if link.state() == Some(State::Alarm) {
         println!("locked: home it (coil arm home)");
     }
-    let found = check_settings(link.settings(), link.work_offset(), &arm, 800.0);
+    let found = check_settings(link.settings(), link.work_offset(), &arm, Options::default().brightness);
     for finding in &found {
         let kind = if finding.severity == Severity::Error { "error" } else { "warning" };
         println!("{kind}: {}", finding.text);

@@ -6,22 +6,23 @@ use crate::output;
 use anyhow::{Context, bail};
 use coil_ps::arm::Joints;
 use coil_ps::arm::grbl::{Command, Failure, Phase, Trust};
-use coil_ps::arm::kinematics::{Arm, Mount, Severity, check_settings};
+use coil_ps::arm::kinematics::{Arm, Mount};
 use coil_ps::arm::line::State;
-use coil_ps::camera::{Camera, Domain};
+use coil_ps::camera::Camera;
+use coil_ps::dataset::Limits;
 use coil_ps::dataset::diligent::normals_mat;
+use coil_ps::planner::{self, Learned};
 use coil_ps::rig::camera::{Sensor, SimulatedCamera, SimulatedView};
 use coil_ps::rig::capture::{Action, Capture, Options, Stuck};
 use coil_ps::rig::hdr::{Crop, Exposure, merge, threshold_level, threshold_mask};
+use coil_ps::rig::setup::{Setup, check_board};
 use coil_ps::rig::sphere::{self, Circle};
 use coil_ps::rig::store::{self, RECORD, Record, Write};
-use coil_ps::rig::thrifty::Thrifty;
 use coil_ps::rig::tiff::decode_frame;
-use coil_ps::session::Session;
 use coil_ps::solve::Measurements;
 use coil_ps::solve::uncertainty::StopAt;
 use coil_ps::stack::{BitDepth, Mask};
-use coil_ps::{light, planner, solve};
+use coil_ps::{light, solve};
 use glam::Vec3;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -167,9 +168,9 @@ impl Source<'_> {
         match self {
             Self::Simulated { scene, camera, mount, .. } => {
                 let (joints, led) = where_the_light_is(driver)?;
-                let full = driver.link().settings().get(&30).copied().filter(|v| *v > 0.0).unwrap_or(1000.0);
+                let brightness = driver.link().lit(led);
                 let direction = mount.direction(joints);
-                let exposure = camera.expose(*scene, direction, (led / full) as f32, seconds)?;
+                let exposure = camera.expose(*scene, direction, brightness, seconds)?;
                 // Exposure and read-out of 5 million 12-bit pixels over USB 3.
                 driver.spend(Duration::from_secs_f64(seconds + 0.03));
                 Ok(exposure)
@@ -232,10 +233,13 @@ fn where_the_light_is(driver: &mut Driver) -> anyhow::Result<(Joints, f64)> {
     bail!("the firmware does not say where the arm is")
 }
 
+/// A camera's picture may be larger than what is kept of it: the mask is of the part after the crop.
+const FRAME_PIXELS: u64 = 1 << 28;
+
 /// A picture file of a camera.
 pub fn read_frame(path: &Path) -> anyhow::Result<coil_ps::image::Image> {
     let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
-    decode_frame(&bytes, 1 << 28).with_context(|| path.display().to_string())
+    decode_frame(&bytes, FRAME_PIXELS).with_context(|| path.display().to_string())
 }
 
 /// Waits for a file that was not there before and has stopped growing; keeps the link alive meanwhile.
@@ -356,19 +360,8 @@ fn source<'a>(args: &Args, scene: &'a dyn Camera, truth: &'a [Vec3]) -> Source<'
 }
 
 fn check(args: &Args) -> anyhow::Result<()> {
-    if args.exposures.is_empty() || args.exposures.iter().any(|e| !(*e > 0.0 && *e <= 60_000.0)) {
-        bail!("--exposures: one or more times above 0 and up to 60000 ms");
-    }
-    if !(3..=1000).contains(&args.lights) {
-        bail!("-t {}: 3 to 1000 lights", args.lights);
-    }
+    setup(args).check()?;
     solve::check_name(&args.solver)?;
-    if !(0.0..=30.0).contains(&args.settle) {
-        bail!("--settle {}: 0 to 30 s", args.settle);
-    }
-    if !(1.0..=90.0).contains(&args.reach) {
-        bail!("--reach {}: 1 to 90 degrees", args.reach);
-    }
     let there = args.out.join(RECORD).exists();
     if there && !args.resume {
         bail!("{} holds a session: --resume goes on with it, or choose another folder", args.out.display());
@@ -406,16 +399,43 @@ fn bracket(args: &Args, driver: &mut Driver, source: &mut Source) -> anyhow::Res
     Ok(frames)
 }
 
-fn setup<'a>(args: &Args, models: &'a Models) -> planner::Setup<'a> {
-    let (lights, seed) = (args.lights, args.seed);
-    planner::Setup { lights, seed, draw: 0, camera: None, truth: None, learned: Some(models) }
+/// What is asked for.
+fn setup(args: &Args) -> Setup {
+    let simulated = args.camera == "sim";
+    let view = SimulatedView {
+        object: args.object.clone(),
+        material: args.material.clone(),
+        size: args.size,
+        mount: args.misaligned.unwrap_or_default(),
+    };
+    Setup {
+        object: args.object.clone(),
+        planner: args.planner.clone(),
+        lights: args.lights,
+        seed: args.seed,
+        reach: args.reach,
+        nearby: args.nearby,
+        camera: if simulated { view.to_string() } else { args.camera.clone() },
+        black: (!simulated).then_some(args.black),
+        white: args.white.filter(|_| !simulated),
+        ball: args.sphere.is_some(),
+        options: Options {
+            exposures: args.exposures.iter().map(|ms| ms / 1000.0).collect(),
+            settle: args.settle,
+            brightness: args.brightness,
+            shutter: args.shutter,
+            dark: args.dark,
+            auto_home: !args.no_home,
+            ..Options::default()
+        },
+    }
 }
 
 fn capture(args: &Args, source: Source, mask: Option<Mask>) -> anyhow::Result<ExitCode> {
     let arm = args.arm.read()?;
     let models = args.models.load(std::slice::from_ref(&args.planner))?;
     // What it can't plan is refused before anything moves.
-    planner::build(&args.planner, &setup(args, &models))?;
+    setup(args).planner(&arm, Some(&models))?;
     let mut driver = Driver::connect(&args.port)?;
     let ended = session(args, &models, &mut driver, arm, source, mask);
     if matches!(ended, Ok(None)) {
@@ -435,21 +455,24 @@ fn session(
     mut source: Source,
     mask: Option<Mask>,
 ) -> anyhow::Result<Option<Stuck>> {
-    let found = check_settings(driver.link().settings(), driver.link().work_offset(), &arm, args.brightness);
-    for finding in &found {
-        eprintln!(
-            "{}: {}",
-            if finding.severity == Severity::Error { "error" } else { "warning" },
-            finding.text
-        );
+    let setup = setup(args);
+    let resumed =
+        if args.resume { Some(store::resume(|name| std::fs::read(args.out.join(name)).ok())?) } else { None };
+    if let Some(resumed) = &resumed {
+        check_same(&resumed.record, &setup)?;
+        let begun = resumed.record.arm.clone();
+        if begun != (Arm { axes: begun.axes, ..arm }) {
+            eprintln!(
+                "warning: the arm's configuration was another one until now: the session goes on with that"
+            );
+        }
+        arm = begun;
     }
-    if found.iter().any(|f| f.severity == Severity::Error) {
-        bail!("the firmware's settings don't fit the arm's configuration (see above)");
+    for warning in check_board(driver.link(), &arm, args.brightness)? {
+        eprintln!("warning: {}", warning.text);
     }
     arm.axes = driver.link().axis_limits();
 
-    let resumed =
-        if args.resume { Some(store::resume(|name| std::fs::read(args.out.join(name)).ok())?) } else { None };
     let mask = match (&resumed, &args.mask, mask) {
         (Some(r), ..) => r.mask.clone(),
         (_, Some(path), _) => read_mask(path)?,
@@ -472,72 +495,35 @@ fn session(
         }
     };
 
-    let shortest = args.exposures.iter().copied().fold(f64::INFINITY, f64::min) / 1000.0;
-    let crop = match &source {
-        Source::Simulated { scene, camera, .. } => camera.crop(*scene),
-        Source::Folder { .. } => args.crop,
-    };
-    let ball = args.sphere.as_deref().map(|place| source.find_sphere(place, crop, shortest)).transpose()?;
-
-    let info = planner::info(&args.planner)?;
     let truth = match &source {
         Source::Simulated { truth, .. } => *truth,
         Source::Folder { .. } => None,
     };
-    let setup = setup(args, models);
-    let mut planner = planner::build(&args.planner, &setup)?;
-    if let Some(degrees) = args.nearby {
-        planner = Box::new(Thrifty::new(planner, info.online, arm.clone(), degrees.to_radians()));
-    }
-    let reach = args.reach.min(arm.reach() as f32).to_radians();
-    let session = Session::new(mask.clone(), Domain::Hemisphere { reach }, planner, args.lights);
-    let options = Options {
-        exposures: args.exposures.iter().map(|ms| ms / 1000.0).collect(),
-        settle: args.settle,
-        brightness: args.brightness,
-        shutter: args.shutter,
-        dark: args.dark,
-        auto_home: !args.no_home,
-        ..Options::default()
-    };
-    let mut record = Record::new(&args.object, &args.planner, args.seed, args.lights, arm);
-    record.firmware = format!("Grbl {}", driver.link().version());
-    (record.crop, record.sphere) = (crop, ball);
-    match &source {
-        Source::Simulated { mount, .. } => {
-            let (object, material) = (args.object.clone(), args.material.clone());
-            record.camera = SimulatedView { object, material, size: args.size, mount: *mount }.to_string();
-        }
-        Source::Folder { black, white, .. } => {
-            record.camera.clone_from(&args.camera);
-            (record.black, record.white) = (Some(*black), *white);
-        }
-    }
-    record.model = setup.learned.and_then(|l| l.network(&args.planner, reach));
-    (record.brightness, record.reach, record.nearby) = (Some(args.brightness), Some(args.reach), args.nearby);
-    record.dark = Some(args.dark);
+    let learned: Option<&dyn Learned> = Some(models);
     let mut capture = match resumed {
-        Some(mut resumed) => {
-            check_same(&resumed.record, &record)?;
-            if resumed.record.camera != record.camera {
+        Some(resumed) => {
+            if resumed.record.camera != setup.camera {
                 eprintln!(
                     "warning: until now the camera was {}, now it is {}",
-                    resumed.record.camera, record.camera
+                    resumed.record.camera, setup.camera
                 );
             }
             for name in &resumed.damaged {
                 eprintln!("warning: {name} is damaged or gone and will be taken again");
             }
             println!("going on after {} of {} lights", resumed.seen.len(), args.lights);
-            // The same, or not recorded before. Crop, sphere and arm stay those of the first light.
-            let Record { firmware, camera, model, brightness, reach, nearby, black, white, dark, .. } =
-                record;
-            let now = resumed.record;
-            resumed.record =
-                Record { firmware, camera, model, brightness, reach, nearby, black, white, dark, ..now };
-            Capture::resume(session, resumed, options)?
+            setup.go_on(driver.link(), learned, resumed)?
         }
-        None => Capture::new(session, record, options),
+        None => {
+            let shortest = setup.options.exposures.iter().copied().fold(f64::INFINITY, f64::min);
+            let crop = match &source {
+                Source::Simulated { scene, camera, .. } => camera.crop(*scene),
+                Source::Folder { .. } => args.crop,
+            };
+            let find = |place| source.find_sphere(place, crop, shortest);
+            let ball = args.sphere.as_deref().map(find).transpose()?;
+            setup.begin(driver.link(), learned, arm, mask.clone(), crop, ball)?
+        }
     };
     write_files(&args.out, &capture.opening_writes()?)?;
     if let Some(truth) = truth {
@@ -571,48 +557,50 @@ fn session(
     Ok(ended)
 }
 
-/// The options that pictures of one session have in common, by name, as far as its record knows them.
-fn common(record: &Record) -> BTreeMap<&'static str, String> {
+/// The options that pictures of one session have in common, by name.
+fn common(s: &Setup) -> BTreeMap<&'static str, String> {
     fn given<T: ToString>(name: &'static str, value: Option<T>) -> (&'static str, String) {
         (name, value.map_or_else(|| format!("no {name}"), |v| format!("{name} {}", v.to_string())))
     }
-    let r = record;
     let mut options = BTreeMap::from([
-        given("--object", Some(&r.object)),
-        given("--planner", Some(&r.planner)),
-        given("-t", Some(r.lights)),
-        given("--seed", Some(r.seed)),
+        given("--object", Some(&s.object)),
+        given("--planner", Some(&s.planner)),
+        given("-t", Some(s.lights)),
+        given("--seed", Some(s.seed)),
         // One camera may save to another folder by now.
-        given("--camera", Some(if r.camera.starts_with("sim") { "sim" } else { "folder:DIR" })),
+        given("--camera", Some(if s.camera.starts_with("sim") { "sim" } else { "folder:DIR" })),
+        given("--brightness", Some(s.options.brightness)),
+        given("--reach", Some(s.reach)),
+        given("--nearby", s.nearby),
+        ("--dark", if s.options.dark { "--dark" } else { "no --dark" }.into()),
     ]);
-    options.extend(r.brightness.map(|s| given("--brightness", Some(s))));
-    if let Some(reach) = r.reach {
-        options.extend([given("--reach", Some(reach)), given("--nearby", r.nearby)]);
+    if let Some(black) = s.black {
+        options.extend([given("--black", Some(black)), given("--white", s.white)]);
     }
-    if let Some(black) = r.black {
-        options.extend([given("--black", Some(black)), given("--white", r.white)]);
-    }
-    options.extend(r.dark.map(|dark| ("--dark", if dark { "--dark" } else { "no --dark" }.into())));
-    if let Some(SimulatedView { material, size, mount, .. }) = SimulatedView::parse(&r.camera) {
+    if let Some(SimulatedView { material, size, mount, .. }) = s.view() {
         let Mount { azimuth, slant, tilt: [x, y] } = mount;
         let askew = (mount != Mount::default()).then(|| format!("{azimuth},{slant},{x},{y}"));
         options.extend([
             given("--material", Some(material)),
             given("--size", Some(size)),
             given("--misaligned", askew),
+            // It is part of the simulated picture; where it stands is the same always.
+            given("--sphere", s.ball.then_some("room")),
         ]);
     }
     options
 }
 
 /// Refuses to go on with a session whose pictures would be of something else.
-fn check_same(begun: &Record, now: &Record) -> anyhow::Result<()> {
+fn check_same(record: &Record, now: &Setup) -> anyhow::Result<()> {
+    let mut begun = now.clone();
+    begun.follow(record);
     let after = common(now);
     let differ = |(name, said): (&str, String)| {
         let now = after.get(name).filter(|now| **now != said)?;
         Some((said, now.as_str()))
     };
-    let (said, now): (Vec<String>, Vec<&str>) = common(begun).into_iter().filter_map(differ).unzip();
+    let (said, now): (Vec<String>, Vec<&str>) = common(&begun).into_iter().filter_map(differ).unzip();
     if !said.is_empty() {
         bail!("the session was begun with {} (now {}): say the same", said.join(", "), now.join(", "));
     }
@@ -621,7 +609,8 @@ fn check_same(begun: &Record, now: &Record) -> anyhow::Result<()> {
 
 fn read_mask(path: &Path) -> anyhow::Result<Mask> {
     let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
-    let image = coil_ps::image::decode_png(&bytes, 1 << 28).with_context(|| path.display().to_string())?;
+    let image = coil_ps::image::decode_png(&bytes, Limits::default().pixels)
+        .with_context(|| path.display().to_string())?;
     Mask::from_image(&image).with_context(|| path.display().to_string())
 }
 
@@ -774,27 +763,40 @@ mod tests {
         let mut begun = Record::new("bust", "tk22", 1, 8, Arm::default());
         begun.camera = "folder:/cam".into();
         (begun.reach, begun.dark, begun.black) = (Some(75.0), Some(true), Some(16));
-        let refused = |now: &Record| check_same(&begun, now).unwrap_err().to_string();
-        let other = Record { white: Some(4095), dark: Some(false), ..begun.clone() };
-        assert_eq!(
-            refused(&other),
-            "the session was begun with --dark, no --white (now no --dark, --white 4095): say the same"
-        );
-        let simulated = Record { camera: "sim bust+lambert:0.8 96 0 0 0 0".into(), ..begun.clone() };
-        assert!(refused(&simulated).contains("--camera folder:DIR (now --camera sim)"));
+        let mut same = Setup {
+            object: "bust".into(),
+            planner: "tk22".into(),
+            lights: 8,
+            seed: 1,
+            reach: 75.0,
+            nearby: None,
+            camera: "folder:/elsewhere".into(),
+            black: Some(16),
+            white: None,
+            ball: false,
+            options: Options { dark: true, ..Options::default() },
+        };
+        check_same(&begun, &same).unwrap();
+        let refused = |begun: &Record, now: &Setup| check_same(begun, now).unwrap_err().to_string();
+        let simulated = Setup { camera: "sim bust+lambert:0.8 96 0 0 0 0".into(), ..same.clone() };
+        assert!(refused(&begun, &simulated).contains("--camera folder:DIR (now --camera sim)"));
         let askew = Record { camera: "sim bust+lambert:0.8 64 4 -2 1.5 -1".into(), ..begun.clone() };
         assert!(
-            check_same(&askew, &simulated)
-                .unwrap_err()
-                .to_string()
+            refused(&askew, &simulated)
                 .contains("--misaligned 4,-2,1.5,-1, --size 64 (now no --misaligned, --size 96)")
         );
-        assert!(check_same(&begun, &Record { camera: "folder:/elsewhere".into(), ..begun.clone() }).is_ok());
+        let ball = Setup { ball: true, camera: askew.camera.clone(), ..same.clone() };
+        assert!(refused(&askew, &ball).contains("begun with no --sphere (now --sphere room)"));
+        (same.white, same.options.dark) = (Some(4095), false);
+        assert_eq!(
+            refused(&begun, &same),
+            "the session was begun with --dark, no --white (now no --dark, --white 4095): say the same"
+        );
         // Sessions from before did not say these.
         let mut old = serde_json::to_value(&begun).unwrap();
         for field in ["black", "white", "dark", "reach", "nearby", "brightness"] {
             old.as_object_mut().unwrap().remove(field);
         }
-        assert!(check_same(&serde_json::from_value(old).unwrap(), &other).is_ok());
+        check_same(&serde_json::from_value(old).unwrap(), &same).unwrap();
     }
 }

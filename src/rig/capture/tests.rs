@@ -301,6 +301,27 @@ fn a_damaged_image_is_taken_again() {
 }
 
 #[test]
+fn a_board_that_does_not_fit_moves_nothing() {
+    let sphere = Sphere::new(8).unwrap();
+    let mut rig = Rig::new(&sphere, Fault::Split, Duration::from_secs(100_000), 1, LIGHTS);
+    rig.settle(3);
+    rig.link.send(rig.now, Command::Raw("$32=1".into())).unwrap();
+    rig.settle(3);
+    rig.reopen();
+    let stuck = rig.run().unwrap_err().to_string();
+    assert!(stuck.contains("don't fit the arm's configuration: $32=1 (laser mode)"), "{stuck}");
+    assert!(rig.truth.is_empty() && rig.port.board.truth().state == State::Alarm, "not even homed");
+    // Mended, and read again.
+    for line in ["$32=0", "$$"] {
+        rig.link.send(rig.now, Command::Raw(line.into())).unwrap();
+        rig.settle(3);
+    }
+    rig.capture.retry();
+    rig.run().unwrap();
+    assert_eq!(rig.truth.len(), LIGHTS);
+}
+
+#[test]
 fn a_wrong_order_is_refused() {
     let sphere = Sphere::new(8).unwrap();
     let mut rig = Rig::new(&sphere, Fault::Split, Duration::from_secs(100_000), 1, LIGHTS);
