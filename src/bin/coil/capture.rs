@@ -234,7 +234,7 @@ fn where_the_light_is(driver: &mut Driver) -> anyhow::Result<(Joints, f64)> {
 }
 
 /// A camera's picture may be larger than what is kept of it: the mask is of the part after the crop.
-const FRAME_PIXELS: u64 = 1 << 28;
+const FRAME_PIXELS: usize = 1 << 28;
 
 /// A picture file of a camera.
 pub fn read_frame(path: &Path) -> anyhow::Result<coil_ps::image::Image> {
