@@ -58,6 +58,12 @@ pub struct Observation {
 }
 
 impl Observation {
+    /// A real picture: one that no stored photo is, with nothing saturated.
+    #[must_use]
+    pub fn new(requested: Vec3, light: Vec3, grey: Vec<f32>, rgb: Vec<[f32; 3]>) -> Self {
+        Self { requested, light, grey, rgb, saturated: Vec::new(), effective_images: 1.0, index: None }
+    }
+
     /// Angle between the requested and the used light, radians.
     #[must_use]
     pub fn deviation(&self) -> f32 {

@@ -6,6 +6,13 @@
 use crate::stack::BitDepth;
 use std::io::Cursor;
 
+/// ITU-R BT.601 luma, as MATLAB's rgb2gray: the official protocol's grey.
+#[inline]
+#[must_use]
+pub fn luma(rgb: [f32; 3]) -> f32 {
+    0.2989 * rgb[0] + 0.5870 * rgb[1] + 0.1140 * rgb[2]
+}
+
 /// A whole image of code values.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Image {

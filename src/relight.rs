@@ -94,14 +94,12 @@ impl<'a> StackCamera<'a> {
     }
 
     fn photo(&self, requested: Vec3, k: usize) -> Observation {
+        let (grey, rgb) = (self.stack.grey[k].clone(), self.stack.rgb[k].clone());
+        let saturated = self.stack.saturated[k].clone();
         Observation {
-            requested,
-            light: self.stack.lights[k],
-            grey: self.stack.grey[k].clone(),
-            rgb: self.stack.rgb[k].clone(),
-            saturated: self.stack.saturated[k].clone(),
-            effective_images: 1.0,
+            saturated,
             index: Some(k),
+            ..Observation::new(requested, self.stack.lights[k], grey, rgb)
         }
     }
 

@@ -146,15 +146,7 @@ mod tests {
         let mut session = Session::new(Mask::full(1, 1).unwrap(), domain, planner, 10);
         let Step::Capture(light) = session.step().unwrap() else { panic!("a light is wanted") };
         let (grey, rgb) = (vec![0.5], vec![[0.5; 3]]);
-        let picture = Observation {
-            requested: light,
-            light,
-            grey,
-            rgb,
-            saturated: Vec::new(),
-            effective_images: 1.0,
-            index: None,
-        };
+        let picture = Observation::new(light, light, grey, rgb);
         session.observe(picture).unwrap();
         assert!(matches!(session.step(), Ok(Step::Capture(_))));
         session.finish();

@@ -55,15 +55,8 @@ impl Camera for Cap {
     fn capture(&self, direction: Vec3, _: &[Observation]) -> Result<Observation, CameraError> {
         let shade = |n: &Vec3| self.constant.unwrap_or_else(|| n.dot(direction).max(0.0));
         let grey: Vec<f32> = self.normals.iter().map(shade).collect();
-        Ok(Observation {
-            requested: direction,
-            light: direction,
-            rgb: grey.iter().map(|&v| [v; 3]).collect(),
-            grey,
-            saturated: Vec::new(),
-            effective_images: 1.0,
-            index: None,
-        })
+        let rgb = grey.iter().map(|&v| [v; 3]).collect();
+        Ok(Observation::new(direction, direction, grey, rgb))
     }
 }
 

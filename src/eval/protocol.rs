@@ -3,6 +3,7 @@
 //! *Official* is DiLiGenT's own (Shi et al. 2016): full resolution, whole mask. *128* is the one on which the papers
 //! on illumination planning report: a square crop at 128×128, scaled to the 99 % quantile, through 8-bit gamma code.
 
+use crate::image::luma;
 use crate::stack::{BitDepth, Mask, RawStack, Stack, StackError, flags};
 use glam::Vec3;
 
@@ -89,12 +90,6 @@ pub const BEAR76: &str = "bear76";
 #[must_use]
 pub fn bear76(raw: &RawStack) -> RawStack {
     raw.subset(|k| k >= 20)
-}
-
-/// ITU-R BT.601 luma, as MATLAB's rgb2gray.
-#[inline]
-fn luma(rgb: [f32; 3]) -> f32 {
-    0.2989 * rgb[0] + 0.5870 * rgb[1] + 0.1140 * rgb[2]
 }
 
 /// `I = code/65535` (8-bit: middle of the step, `(v·256 + 127.5)/65535`), over the light's gain per channel; grey by

@@ -193,13 +193,9 @@ fn every_light(subject: &Subject) -> Result<Vec<Observation>, SessionError> {
     match *subject {
         Subject::Stack(stack) => Ok((0..stack.len())
             .map(|k| Observation {
-                requested: stack.lights[k],
-                light: stack.lights[k],
-                grey: stack.grey[k].clone(),
-                rgb: Vec::new(),
                 saturated: stack.saturated[k].clone(),
-                effective_images: 1.0,
                 index: Some(k),
+                ..Observation::new(stack.lights[k], stack.lights[k], stack.grey[k].clone(), Vec::new())
             })
             .collect()),
         Subject::Scene { camera, reach, .. } => {

@@ -8,6 +8,7 @@ pub mod expectation;
 pub mod fit;
 pub mod tune;
 
+use crate::image::luma;
 use crate::light;
 use crate::render::Material;
 use crate::render::worlds::Split;
@@ -15,8 +16,6 @@ use crate::rng::Rng;
 use glam::Vec3;
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
-/// Rec. 601 luminance, as the official protocol's grey.
-const GREY: [f32; 3] = [0.2989, 0.5870, 0.1140];
 /// Most of a patch's or lobe's brightness that one sample may carry: a sample stands for a solid angle.
 const SAMPLE_LIMIT: f32 = 4.0;
 
@@ -84,7 +83,7 @@ impl Surface {
         for (material, weight) in self.materials.iter().filter(|(_, weight)| *weight > 0.0) {
             for &facet in &self.facets {
                 let rgb = material.shade(facet, light, view);
-                sum += weight * (rgb[0] * GREY[0] + rgb[1] * GREY[1] + rgb[2] * GREY[2]);
+                sum += weight * luma(rgb);
             }
         }
         sum / self.facets.len() as f32

@@ -289,15 +289,7 @@ impl Camera for SceneCamera<'_> {
             errors.expose(self.scene, direction, &mut rgb);
         }
         let grey = rgb.iter().map(|[r, g, b]| (r + g + b) / 3.0).collect();
-        Ok(Observation {
-            requested: direction,
-            light: direction,
-            grey,
-            rgb,
-            saturated: Vec::new(),
-            effective_images: 1.0,
-            index: None,
-        })
+        Ok(Observation::new(direction, direction, grey, rgb))
     }
 }
 

@@ -327,15 +327,8 @@ impl Camera for Sphere {
     fn capture(&self, direction: Vec3, _: &[Observation]) -> Result<Observation, CameraError> {
         check_direction(direction)?;
         let grey: Vec<f32> = self.normals.iter().map(|n| 0.8 * n.dot(direction).max(0.0)).collect();
-        Ok(Observation {
-            requested: direction,
-            light: direction,
-            rgb: grey.iter().map(|g| [*g; 3]).collect(),
-            grey,
-            saturated: Vec::new(),
-            effective_images: 1.0,
-            index: None,
-        })
+        let rgb = grey.iter().map(|g| [*g; 3]).collect();
+        Ok(Observation::new(direction, direction, grey, rgb))
     }
 }
 

@@ -203,7 +203,7 @@ pub fn observation(requested: Vec3, light: Vec3, codes: &[[u16; 3]], scale: f32)
     let rgb: Vec<[f32; 3]> = codes.iter().map(|c| c.map(value)).collect();
     let grey = rgb.iter().map(|c| (c[0] + c[1] + c[2]) / 3.0).collect();
     let saturated = flags(codes.iter().map(|c| c.contains(&SATURATED)));
-    Observation { requested, light, grey, rgb, saturated, effective_images: 1.0, index: None }
+    Observation { saturated, ..Observation::new(requested, light, grey, rgb) }
 }
 
 /// The image of a shot as a file, and its CRC.

@@ -72,15 +72,7 @@ impl Planner for Thrifty<'_> {
             let mut seen: Vec<Observation> = Vec::new();
             for _ in 0..view.lights {
                 let d = self.inner.next(&View { seen: &seen, ..*view })?;
-                seen.push(Observation {
-                    requested: d,
-                    light: d,
-                    grey: Vec::new(),
-                    rgb: Vec::new(),
-                    saturated: Vec::new(),
-                    effective_images: 1.0,
-                    index: None,
-                });
+                seen.push(Observation::new(d, d, Vec::new(), Vec::new()));
             }
             let set: Vec<Vec3> = seen.into_iter().map(|o| o.requested).collect();
             self.path = Some(short_path(&self.arm, home(&self.arm), set));
@@ -151,15 +143,7 @@ mod tests {
         for _ in 0..lights {
             let d = planner.next(&View { mask: &mask, domain, seen: &seen, lights }).unwrap();
             let grey = vec![0.5; 4];
-            seen.push(Observation {
-                requested: d,
-                light: d,
-                grey,
-                rgb: Vec::new(),
-                saturated: Vec::new(),
-                effective_images: 1.0,
-                index: None,
-            });
+            seen.push(Observation::new(d, d, grey, Vec::new()));
         }
         seen.into_iter().map(|o| o.requested).collect()
     }

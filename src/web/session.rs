@@ -2,6 +2,7 @@
 
 use super::{direction, directions, fail, flat, mask_of};
 use crate::camera::{Domain, Observation};
+use crate::image::luma;
 use crate::planner::{self, Choice, Setup};
 use crate::session::{self, Step};
 use wasm_bindgen::prelude::*;
@@ -54,16 +55,8 @@ impl Session {
             return Err(fail("the session is complete: it takes no further picture"));
         };
         let rgb: Vec<[f32; 3]> = rgb.as_chunks().0.to_vec();
-        let grey = rgb.iter().map(|c| 0.2989 * c[0] + 0.5870 * c[1] + 0.1140 * c[2]).collect();
-        let picture = Observation {
-            requested,
-            light,
-            grey,
-            rgb,
-            saturated: Vec::new(),
-            effective_images: 1.0,
-            index: None,
-        };
+        let grey = rgb.iter().map(|&c| luma(c)).collect();
+        let picture = Observation::new(requested, light, grey, rgb);
         self.0.observe(picture).map_err(fail)
     }
 
