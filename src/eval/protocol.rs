@@ -92,19 +92,21 @@ pub fn bear76(raw: &RawStack) -> RawStack {
     raw.subset(|k| k >= 20)
 }
 
-/// `I = code/65535` (8-bit: middle of the step, `(v·256 + 127.5)/65535`), over the light's gain per channel; grey by
-/// luma, clipped to [0, 1].
-fn official(raw: &RawStack) -> Stack {
-    let linear = |code: u16| match raw.bits {
-        BitDepth::Sixteen => f32::from(code) / 65535.0,
-        BitDepth::Eight => (f32::from(code) * 256.0 + 127.5) / 65535.0,
+/// Image `k` as linear values: `code/65535` over the light's gain per channel. 8-bit codes are the high bytes of 16-bit ones
+/// and stand for the middle of their step, `(v·256 + 127.5)/65535`: the lower end would darken shadows to nothing.
+fn linear(raw: &RawStack, k: usize) -> impl Iterator<Item = [f32; 3]> {
+    let (scale, offset) = match raw.bits {
+        BitDepth::Sixteen => (1.0, 0.0),
+        BitDepth::Eight => (256.0, 127.5),
     };
-    let rgb: Vec<Vec<[f32; 3]>> = raw
-        .images
-        .iter()
-        .zip(&raw.intensities)
-        .map(|(image, gain)| image.iter().map(|px| [0, 1, 2].map(|c| linear(px[c]) / gain[c])).collect())
-        .collect();
+    let gain = raw.intensities[k];
+    let value = move |code: u16, c: usize| (f32::from(code) * scale + offset) / 65535.0 / gain[c];
+    raw.images[k].iter().map(move |px| [0, 1, 2].map(|c| value(px[c], c)))
+}
+
+/// Linear values; grey by luma, clipped to [0, 1].
+fn official(raw: &RawStack) -> Stack {
+    let rgb: Vec<Vec<[f32; 3]>> = (0..raw.images.len()).map(|k| linear(raw, k).collect()).collect();
     let grey = rgb.iter().map(|i| i.iter().map(|&px| luma(px).clamp(0.0, 1.0)).collect()).collect();
     let cut = |(image, linear): (&Vec<[u16; 3]>, &Vec<[f32; 3]>)| {
         let at_limit = |(px, &v): (&[u16; 3], &[f32; 3])| px.contains(&raw.bits.max()) || luma(v) > 1.0;
@@ -160,11 +162,7 @@ impl Square {
 
 fn p128(raw: &RawStack) -> Result<Stack, StackError> {
     let square = Square::around(&raw.mask);
-    let full = f32::from(raw.bits.max());
-    let scaled = |k: usize| {
-        let gain = raw.intensities[k];
-        raw.images[k].iter().map(move |px| [0, 1, 2].map(|c| f32::from(px[c]) / full / gain[c]))
-    };
+    let scaled = |k: usize| linear(raw, k);
     let bright = quantile99(&mut (0..raw.images.len()).flat_map(scaled).flatten().collect::<Vec<f32>>());
     let bright = if bright > 0.0 { bright } else { 1.0 };
     // Half of the pixels of a solved normal map rest on this: the round trip through 8-bit gamma code.
@@ -322,6 +320,22 @@ mod tests {
         assert_eq!((stack.mask.width(), stack.mask.len()), (128, 126 * 126));
         assert!((stack.grey[0][0] - 1.0).abs() < 1e-6);
         assert!((stack.grey[1][0] - 0.5).abs() < 0.01); // within a step of the 8-bit gamma code
+    }
+
+    #[test]
+    fn codes_of_8_bit_stand_for_the_middle_of_their_step() {
+        let ramp = |code: fn(u16) -> u16| {
+            let mut ramp = raw(128, 0);
+            ramp.images = vec![(0..128 * 128).map(|p| [code((p as u16 % 128) * 24 + 1); 3]).collect(); 2];
+            ramp
+        };
+        let sixteen = ramp(|code| code);
+        let eight = RawStack { bits: BitDepth::Eight, ..ramp(|code| code >> 8) };
+        for protocol in [Protocol::Official, Protocol::P128] {
+            let [a, b] = [&sixteen, &eight].map(|raw| protocol.apply(raw).unwrap().grey.concat());
+            let mean = |v: &[f32]| v.iter().sum::<f32>() / v.len() as f32;
+            assert!((mean(&a) / mean(&b) - 1.0).abs() < 0.01, "{protocol}: {} and {}", mean(&a), mean(&b));
+        }
     }
 
     #[test]
