@@ -11,10 +11,8 @@ use glam::Vec3;
 /// How well a rig is built and calibrated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tolerances {
-    /// Sets the noise. Nothing is rounded.
+    /// Sets the noise. Exposures are merged (HDR): nothing is cut off or rounded.
     pub sensor: Sensor,
-    /// Where a picture is cut off, in units of the 99 % quantile under frontal light; infinite where exposures are merged (HDR).
-    pub ceiling: f32,
     /// Root mean square of the angle between the light and the direction that the solver is told, radians.
     pub direction: f32,
     /// Standard deviation of a picture's brightness, as a share of it.
@@ -27,7 +25,6 @@ impl Tolerances {
     /// A careful amateur's rig: shot noise of 1 % and read noise of 0.3 % at white, 0.5° (a mirror sphere's accuracy), 1 %.
     pub const RIG: Self = Self {
         sensor: Sensor { full_well: 10_000.0, read_noise: 30.0, bits: 16 },
-        ceiling: f32::INFINITY,
         direction: 0.5 / 180.0 * std::f32::consts::PI,
         intensity: 0.01,
         distance: f32::INFINITY,
@@ -45,17 +42,7 @@ impl Tolerances {
             ..Self::RIG
         }
     }
-
-    /// The same rig with one exposure a picture, set so that highlights are cut off.
-    #[must_use]
-    pub fn single_exposure(self, rng: &mut Rng) -> Self {
-        let [least, most] = CEILINGS.map(libm::logf);
-        Self { ceiling: libm::expf(rng.range(least, most)), ..self }
-    }
 }
-
-/// How high single exposures are cut off.
-const CEILINGS: [f32; 2] = [0.7, 2.0];
 
 /// Cosines of grazing light are taken for this, and no cosine grows more than [`MOST_TURNED`] times.
 const LOWEST_COSINE: f32 = 0.05;
@@ -114,15 +101,8 @@ impl Errors {
         let mut rng = self.rng(said, 1);
         let gain = 1.0 + self.tolerances.intensity * rng.normal();
         for value in rgb.as_flattened_mut() {
-            let merged = self.tolerances.sensor.merged(gain * *value, self.white, &mut rng);
-            *value = merged.min(self.limit());
+            *value = self.tolerances.sensor.merged(gain * *value, self.white, &mut rng);
         }
-    }
-
-    /// The largest value of a picture.
-    #[must_use]
-    pub fn limit(&self) -> f32 {
-        self.tolerances.ceiling * self.white
     }
 
     fn rng(&self, said: Vec3, part: u64) -> Rng {

@@ -38,10 +38,6 @@ pub struct Recipe {
     /// plastics for the most part.
     #[serde(default)]
     pub any_material: bool,
-    /// Share of the rigs of varied sequences that take one exposure a picture, which cuts off highlights; the others merge exposures
-    /// (HDR).
-    #[serde(default)]
-    pub single_exposure: f32,
     /// Objects in the training pool.
     pub objects: usize,
     /// Side of the training pictures, pixels.
@@ -124,7 +120,6 @@ impl Recipe {
             meshes: None,
             varied: false,
             any_material: false,
-            single_exposure: 0.0,
             objects: 2000,
             resolution: 40,
             steps: 3000,
@@ -210,9 +205,6 @@ impl Recipe {
                 "shares of {} over the whole hemisphere and {} with a finite set: neither below 0, together at most 1",
                 self.whole_dome, self.finite
             ));
-        }
-        if !(0.0..=1.0).contains(&self.single_exposure) {
-            return Err(format!("share of {} in single exposures: 0 to 1", self.single_exposure));
         }
         if !(0.0..1.0).contains(&self.averaging) {
             return Err(format!("averaging {}: 0 for none, or below 1", self.averaging));

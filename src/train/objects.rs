@@ -50,10 +50,6 @@ impl Scene for Real {
             *gradient = gradient.map(|g| g * factor);
         }
         self.errors.expose(&self.scene, light, &mut rgb);
-        let values = rgb.as_flattened().iter().zip(gradient.as_flattened_mut());
-        for (_, gradient) in values.filter(|&(&value, _)| value >= self.errors.limit()) {
-            *gradient = Vec3::ZERO;
-        }
         (rgb, gradient)
     }
 }
@@ -72,7 +68,6 @@ pub struct Training {
     softness: f32,
     meshes: Vec<(String, Mesh)>,
     any_material: bool,
-    single_exposure: f32,
     made: Mutex<HashMap<(usize, bool), Arc<Bare>>>,
 }
 
@@ -101,26 +96,13 @@ impl Training {
         for (_, mesh) in &meshes {
             Pose::fit(&Shape::Mesh(mesh.clone()), Mat3::IDENTITY)?;
         }
-        Ok(Self {
-            size,
-            softness,
-            meshes,
-            any_material: false,
-            single_exposure: 0.0,
-            made: Mutex::new(HashMap::new()),
-        })
+        Ok(Self { size, softness, meshes, any_material: false, made: Mutex::new(HashMap::new()) })
     }
 
     /// The same, with varied objects of any material, see [`super::fit::Recipe::any_material`].
     #[must_use]
     pub fn of_any_material(self, any_material: bool) -> Self {
         Self { any_material, ..self }
-    }
-
-    /// The same, with a share of the varied objects seen in single exposures, see [`super::fit::Recipe::single_exposure`].
-    #[must_use]
-    pub fn in_single_exposures(self, share: f32) -> Self {
-        Self { single_exposure: share, ..self }
     }
 
     fn object(&self, index: usize, turned: bool) -> Object {
@@ -171,15 +153,9 @@ impl Pool for Training {
             bounces: 1,
         };
         let seed = rng.next_u64();
-        let rig = if varied { some_rig(rng, self.single_exposure) } else { Tolerances::RIG };
+        let rig = if varied { Tolerances::any(rng, COLLIMATED, NEAREST) } else { Tolerances::RIG };
         Ok(Box::new(Real::new(scene, rig, seed)))
     }
-}
-
-/// A rig of any quality, one of a share `single_exposure` of rigs that take one exposure a picture.
-fn some_rig(rng: &mut Rng, single_exposure: f32) -> Tolerances {
-    let rig = Tolerances::any(rng, COLLIMATED, NEAREST);
-    if single_exposure > 0.0 && rng.uniform() < single_exposure { rig.single_exposure(rng) } else { rig }
 }
 
 /// Turns object number `index` about the optical axis.
@@ -200,7 +176,6 @@ pub fn validation(
     count: usize,
     size: u32,
     varied: bool,
-    single_exposure: f32,
 ) -> Result<Vec<Box<dyn Scene>>, RenderError> {
     let options = Options { size, softness: 0.0, ..Options::default() };
     (0..count)
@@ -214,7 +189,10 @@ pub fn validation(
                 }
             };
             let (object, rig) = match varied {
-                true => (rolled(object, i), some_rig(&mut Rng::stream(RIGS, i as u64), single_exposure)),
+                true => {
+                    let rig = Tolerances::any(&mut Rng::stream(RIGS, i as u64), COLLIMATED, NEAREST);
+                    (rolled(object, i), rig)
+                }
                 false => (object, Tolerances::RIG),
             };
             Ok(Box::new(Real::new(object.scene(&options)?, rig, i as u64)) as Box<dyn Scene>)
@@ -230,12 +208,12 @@ mod tests {
     fn meshes_are_validated_on_in_turn_each_time_otherwise() {
         let tent = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nv 0 0 1\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\n";
         let mesh = |name: &str| (name.to_owned(), Mesh::from_bytes("tent.obj", tent.as_bytes()).unwrap());
-        let scenes = validation(&[mesh("a"), mesh("b")], 3, 24, false, 0.0).unwrap();
+        let scenes = validation(&[mesh("a"), mesh("b")], 3, 24, false).unwrap();
         let seen: Vec<_> = scenes.iter().map(|s| s.image(Vec3::Z)).collect();
         assert!(seen[0] != seen[2] && seen[0] != seen[1]);
         assert_eq!(
-            validation(&[], 1, 24, false, 0.0).unwrap()[0].image(Vec3::Z),
-            validation(&[], 2, 24, false, 0.0).unwrap()[0].image(Vec3::Z)
+            validation(&[], 1, 24, false).unwrap()[0].image(Vec3::Z),
+            validation(&[], 2, 24, false).unwrap()[0].image(Vec3::Z)
         );
     }
 

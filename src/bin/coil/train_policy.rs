@@ -128,9 +128,6 @@ struct Choices {
     /// Objects of varied sequences are of any material, not measured ones alone
     #[arg(long)]
     any_material: bool,
-    /// Share of varied sequences whose pictures are single exposures, with highlights cut off; the others are merged ones
-    #[arg(long)]
-    single_exposure: Option<f32>,
     /// Share of the sequences over the whole hemisphere
     #[arg(long)]
     whole_dome: Option<f32>,
@@ -221,12 +218,10 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let reach = trainer.recipe.validated_reach();
     let (size, softness) = (trainer.recipe.resolution, trainer.recipe.softness);
     let pool = objects::Training::new(size, softness, meshes.unwrap_or_default())?
-        .of_any_material(trainer.recipe.any_material)
-        .in_single_exposures(trainer.recipe.single_exposure);
+        .of_any_material(trainer.recipe.any_material);
     let meshes = args.validation_meshes.as_deref().map(read_meshes).transpose()?.unwrap_or_default();
     let varied = trainer.recipe.varied && trainer.recipe.limited();
-    let scenes =
-        objects::validation(&meshes, args.validation_objects, size, varied, trainer.recipe.single_exposure)?;
+    let scenes = objects::validation(&meshes, args.validation_objects, size, varied)?;
     eprintln!(
         "{} weights, {} validation objects, {} of {} updates made",
         trainer.weights.count(),
@@ -393,7 +388,6 @@ fn changed(mut r: Recipe, args: &Choices) -> anyhow::Result<Recipe> {
     set(&mut r.first_loss, args.first_loss);
     r.varied |= args.varied;
     r.any_material |= args.any_material;
-    set(&mut r.single_exposure, args.single_exposure);
     set(&mut r.whole_dome, args.whole_dome);
     set(&mut r.finite, args.finite);
     if args.horizon {
