@@ -70,6 +70,7 @@
  * @property {Picture | null} errors null before three lights and without truth
  * @property {Picture | null} expected the solver's own estimate of its error; null where it has none
  * @property {number | null} expectedMean degrees
+ * @property {number | null} lampDistance half widths of the object, where the lamps' nearness was seen and taken out
  * @property {number | null} mae degrees
  * @property {number} unknown pixels without a true normal, which count as 90°
  * @property {number} invalid pixels with too few usable values

@@ -132,7 +132,7 @@ const answers = {
     }
     if (quick === solver || !solution) return show(observations, solution, scale, 1);
     solution.free();
-    const tiles = observations.tiles();
+    const tiles = observations.tiles(IN_PIECES);
     let shown = false;
     const showTiles = () => {
       shown = true;
@@ -154,7 +154,7 @@ const answers = {
   /** Mean error of the learned solver on these pictures, when nothing else is to be solved; without truth what it expects. */
   async score({ asked, lookup }, { signal }) {
     const observations = needed(state.stack, "open an object first").observe(new Float32Array(asked.flat()), lookup);
-    const tiles = observations.tiles();
+    const tiles = observations.tiles(IN_PIECES);
     observations.free();
     try {
       await helpers.solve(tiles, { signal, urgent: false });
@@ -392,6 +392,7 @@ function show(observations, solution, scale, solved) {
     errors: optional(solution?.errorPicture(scale)),
     expected: optional(solution?.uncertaintyPicture(scale)),
     expectedMean: solution?.expectedError ?? null,
+    lampDistance: solution?.lampDistance ?? null,
     mae: solution?.mae ?? null,
     unknown: solution?.unknown ?? 0,
     invalid: solution?.invalid ?? 0,

@@ -9,9 +9,9 @@ use crate::planner::oracle::ORACLE_CANDIDATES;
 use crate::planner::{self, Choice, Learned, Setup};
 use crate::session::{Session, SessionError, Step};
 use crate::solve::uncertainty;
-use crate::solve::{self, Measurements, Solution, SolveError};
+use crate::solve::{self, Measurements, SolveError, Solver, near};
 use crate::stack::{Mask, Stack};
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use std::f32::consts::FRAC_PI_2;
 
 /// An object to plan on.
@@ -93,20 +93,23 @@ pub struct Score {
 }
 
 impl Score {
-    /// Judges what `solver` made of the pictures.
+    /// Judges what `solver` makes of the pictures; `places` are those of the pixels ([`near::places`]).
     ///
     /// # Errors
-    /// As [`uncertainty::complete`].
+    /// As the solver, and [`uncertainty::complete`].
     pub fn of(
-        solver: &str,
-        pictures: &Measurements,
-        mut solution: Solution,
+        solver: &dyn Solver,
+        pictures: Measurements,
+        places: &[Vec2],
         truth: Option<&[Vec3]>,
     ) -> Result<Self, SolveError> {
+        let ready = solve::prepare(solver.name(), pictures, places)?;
+        let pictures = ready.measurements();
+        let mut solution = solver.solve(&pictures)?;
         if let Some(truth) = truth {
             return Ok(Self { mae: Some(error::mae(&solution.normals, truth)), predicted: None });
         }
-        uncertainty::complete(solver, pictures, &mut solution)?;
+        uncertainty::complete(solver.name(), &pictures, &mut solution)?;
         Ok(Self { mae: None, predicted: uncertainty::predicted_mae(&solution).map(f64::from) })
     }
 
@@ -161,7 +164,7 @@ pub fn run(
 ) -> Result<Run, SessionError> {
     let judge = spec.stop_at.zip(solvers.first().and_then(|name| solve::by_name(name).ok()));
     run_watched(subject, spec, solvers, learned, &mut |seen| match &judge {
-        Some((stop, solver)) => !stop.enough(&**solver, &Measurements::of(seen)),
+        Some((stop, solver)) => !stop.enough(&**solver, &Measurements::of(seen), subject.mask()),
         None => true,
     })
 }
@@ -179,11 +182,11 @@ pub fn run_watched(
 ) -> Result<Run, SessionError> {
     let seen =
         if spec.planner == ALL_LIGHTS { every_light(subject)? } else { plan(subject, spec, learned, watch)? };
-    let pictures = Measurements::of(&seen);
+    let places = near::places(subject.mask());
     let mut scores = Vec::with_capacity(solvers.len());
     for name in solvers {
         let solver = solve::by_name(name).map_err(|e| SolveError::Model(e.to_string()))?;
-        scores.push(Score::of(name, &pictures, solver.solve(&pictures)?, subject.truth())?);
+        scores.push(Score::of(&*solver, Measurements::of(&seen), &places, subject.truth())?);
     }
     Ok(Run { seen, scores })
 }

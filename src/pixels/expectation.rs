@@ -13,8 +13,8 @@ use crate::rng::Rng;
 use crate::session::{Session, Step};
 use crate::solve::expectation::{CUES, Judge, Layers, PARTS, Row, WEIGHTS, WIDTH, cues};
 use crate::solve::tiles::Piece;
-use crate::solve::{Measurements, SolveError, Solver};
-use glam::Vec3;
+use crate::solve::{self, Measurements, SolveError, Solver, near, pixel};
+use glam::{Vec2, Vec3};
 use std::f32::consts::FRAC_PI_2;
 
 /// A solved pixel.
@@ -49,20 +49,73 @@ const LEARNED: &str = "coil";
 /// Smallest reach of the lights of an object, radians (25°).
 const SHORTEST_REACH: f32 = 25.0 / 180.0 * std::f32::consts::PI;
 
+/// The same pixels as the lamps give them, and as [`near`] makes them: solvers take the one or the other.
+#[derive(Clone, Debug, Default)]
+pub struct Groups {
+    given: Vec<Pixels>,
+    distant: Vec<Pixels>,
+}
+
+impl Groups {
+    /// As the solver of this name takes them.
+    #[must_use]
+    pub fn of(&self, solver: &str) -> &[Pixels] {
+        if solve::wants_distant_lamps(solver) { &self.distant } else { &self.given }
+    }
+
+    fn append(&mut self, mut other: Self) {
+        self.given.append(&mut other.given);
+        self.distant.append(&mut other.distant);
+    }
+
+    /// Adds the pixels `some` of an object's pictures.
+    fn add(
+        &mut self,
+        lights: Vec<Vec3>,
+        images: &[Vec<f32>],
+        object: &Seen,
+        some: &[u32],
+    ) -> Result<(), String> {
+        let images = images.iter().map(Vec::as_slice).collect();
+        let whole = Measurements { lights, images, saturated: Vec::new() };
+        let ready = solve::prepare(pixel::NAME, whole.clone(), object.places).map_err(|e| e.to_string())?;
+        for (list, m) in [(&mut self.given, whole), (&mut self.distant, ready.measurements())] {
+            list.push(Pixels {
+                images: Piece::of(&m, some).images,
+                lights: m.lights,
+                normals: some.iter().map(|&p| object.truth[p as usize]).collect(),
+                saturated: Vec::new(),
+            });
+        }
+        Ok(())
+    }
+}
+
+/// What is known of a rendered object's pixels.
+struct Seen<'a> {
+    truth: &'a [Vec3],
+    places: &'a [Vec2],
+}
+
 /// Rendered pixels of `objects` worlds of training and validation under random lights, those of planners, and the generator's sets, seen
 /// by rigs good and bad; and a third as many light sets of synthetic pixels.
 ///
 /// # Errors
 /// Why the first object that can't be rendered can't.
-pub fn pixels(objects: usize, size: u32, learned: &dyn Learned) -> Result<Vec<Pixels>, String> {
+pub fn pixels(objects: usize, size: u32, learned: &dyn Learned) -> Result<Groups, String> {
     let generator = Generator::new(Split::Train);
-    let of_objects = in_parallel(objects, |number| rendered(&generator, number, size, learned));
-    let mut all: Vec<Pixels> = of_objects.into_iter().collect::<Result<Vec<_>, _>>()?.concat();
+    let mut all = Groups::default();
+    for group in in_parallel(objects, |number| rendered(&generator, number, size, learned)) {
+        all.append(group?);
+    }
+    let corrected = generator.clone().with_distant_lamps();
     for set in 0..3 * objects {
-        let mut rng = Rng::stream(0x657870, set as u64);
-        let count = light_count(&mut rng);
-        let lights = generator.lights(&mut rng, count);
-        all.push(generator.pixels(&mut rng, lights, PIXELS));
+        for (list, generator) in [(&mut all.given, &generator), (&mut all.distant, &corrected)] {
+            let mut rng = Rng::stream(0x657870, set as u64);
+            let count = light_count(&mut rng);
+            let lights = generator.lights(&mut rng, count);
+            list.push(generator.pixels(&mut rng, lights, PIXELS));
+        }
     }
     Ok(all)
 }
@@ -72,7 +125,7 @@ fn rendered(
     number: usize,
     size: u32,
     learned: &dyn Learned,
-) -> Result<Vec<Pixels>, String> {
+) -> Result<Groups, String> {
     let mut rng = Rng::stream(0x6a7564, number as u64);
     let validation = rng.uniform() < VALIDATION_SHARE;
     let object = if validation {
@@ -101,15 +154,12 @@ fn rendered(
     for count in [10, light_count(&mut rng), light_count(&mut rng)] {
         sets.push(generator.lights(&mut rng, count));
     }
-    let mut out = Vec::new();
+    let places = near::places(camera.mask());
+    let mut out = Groups::default();
     for lights in sets {
         let some: Vec<u32> = (0..PIXELS).map(|_| rng.below(truth.len()) as u32).collect();
         let images = pictures(&camera, &lights)?;
-        let images = images.iter().map(Vec::as_slice).collect();
-        let whole = Measurements { lights, images, saturated: Vec::new() };
-        let images = Piece::of(&whole, &some).images;
-        let normals = some.iter().map(|&p| truth[p as usize]).collect();
-        out.push(Pixels { lights: whole.lights, images, normals, saturated: Vec::new() });
+        out.add(lights, &images, &Seen { truth, places: &places }, &some)?;
     }
     Ok(out)
 }
@@ -272,9 +322,6 @@ fn slope(y: f32) -> f32 {
     (1.0 - y.abs()) * (1.0 - y.abs())
 }
 
-/// Whole objects, each under one light set.
-pub type Objects = Vec<Pixels>;
-
 /// Validation objects that nothing is fitted to, seen by [`Tolerances::RIG`] with ten lights: random, ring and vertical,
 /// those of the learned planner.
 ///
@@ -284,28 +331,31 @@ pub fn checks(
     objects: usize,
     size: u32,
     learned: &dyn Learned,
-) -> Result<Vec<(&'static str, Objects)>, String> {
+) -> Result<Vec<(&'static str, Groups)>, String> {
     let all = in_parallel(objects, |number| {
         let object = worlds::validation(1, number);
         let scene = object.scene(&Options { size, ..Options::default() }).map_err(|e| e.to_string())?;
         let camera = SceneCamera::real(&scene, Tolerances::RIG, 1);
+        let (truth, places) = (scene.truth(), near::places(camera.mask()));
+        let every: Vec<u32> = (0..truth.len() as u32).collect();
         CHECKED
             .iter()
             .map(|&(_, name)| {
                 let lights = planned(&camera, name, 10, FRAC_PI_2, number as u64, learned)?;
                 let images = pictures(&camera, &lights)?;
-                Ok(Pixels { lights, images, normals: scene.truth().to_vec(), saturated: Vec::new() })
+                let mut one = Groups::default();
+                one.add(lights, &images, &Seen { truth, places: &places }, &every)?;
+                Ok(one)
             })
             .collect::<Result<Vec<_>, String>>()
     });
-    let mut sets: Vec<(&'static str, Objects)> =
-        CHECKED.iter().map(|&(title, _)| (title, Vec::new())).collect();
+    let mut sets = CHECKED.map(|(title, _)| (title, Groups::default()));
     for object in all {
         for ((_, set), pixels) in sets.iter_mut().zip(object?) {
-            set.push(pixels);
+            set.append(pixels);
         }
     }
-    Ok(sets)
+    Ok(sets.into())
 }
 
 /// Titles and planners of the light sets that are looked at.
@@ -375,11 +425,14 @@ mod tests {
 
     #[test]
     fn objects_are_seen_under_the_lights_of_planners_too() {
-        let sets = rendered(&Generator::new(Split::Train), 0, 24, &Ring).unwrap();
-        assert_eq!(sets.len(), RANDOM + 4 + 3);
-        let learned = sets.iter().filter(|s| s.lights.iter().all(|l| (l.z - 0.3f32.cos()).abs() < 1e-3));
-        assert_eq!(learned.count(), 2);
-        assert!(sets.iter().all(|s| s.images.len() == s.lights.len() && s.normals.len() == PIXELS));
+        let groups = rendered(&Generator::new(Split::Train), 0, 24, &Ring).unwrap();
+        for solver in ["ls", "pixel"] {
+            let sets = groups.of(solver);
+            assert_eq!(sets.len(), RANDOM + 4 + 3);
+            let learned = sets.iter().filter(|s| s.lights.iter().all(|l| (l.z - 0.3f32.cos()).abs() < 1e-3));
+            assert_eq!(learned.count(), 2);
+            assert!(sets.iter().all(|s| s.images.len() == s.lights.len() && s.normals.len() == PIXELS));
+        }
         struct Nothing;
         impl Learned for Nothing {
             fn planner(&self, _: &str, _: Vec3) -> Option<Box<dyn planner::Planner>> {

@@ -110,7 +110,12 @@ impl Training {
                 values[OUTPUTS - 1] = -1.5; // e^−1.5 rad = 13°, about the robust solver's error
             }
         }
-        let network = Network::new(weights).expect("one weight for each parameter");
+        Self::from(Network::new(weights).expect("one weight for each parameter"), recipe)
+    }
+
+    /// A new run that begins with the weights of another.
+    #[must_use]
+    pub fn from(network: Network, recipe: Recipe) -> Self {
         Self { recipe, step: 0, network, mean: vec![0.0; WEIGHTS], square: vec![0.0; WEIGHTS] }
     }
 

@@ -6,6 +6,7 @@
 
 pub mod expectation;
 pub mod fit;
+pub mod nearness;
 pub mod tune;
 
 use crate::image::luma;
@@ -13,6 +14,7 @@ use crate::light;
 use crate::render::Material;
 use crate::render::worlds::Split;
 use crate::rng::Rng;
+use crate::solve::near;
 use glam::Vec3;
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
@@ -23,6 +25,16 @@ const SAMPLE_LIMIT: f32 = 4.0;
 #[derive(Clone, Debug)]
 pub struct Generator {
     measured: Vec<Material>,
+    nearness: Nearness,
+}
+
+/// What pixels show of the lamps' nearness.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Nearness {
+    /// All of it.
+    Whole,
+    /// What [`near`] leaves, which may be too much or too little.
+    Rest,
 }
 
 /// Pixels that share one set of lights.
@@ -109,7 +121,13 @@ impl Generator {
     /// A generator with the measured materials of a split of `worlds-v1` (and GGX, Lambert and mixtures).
     #[must_use]
     pub fn new(split: Split) -> Self {
-        Self { measured: split.measured() }
+        Self { measured: split.measured(), nearness: Nearness::Whole }
+    }
+
+    /// The same for a solver whose pictures [`near`] has made those of distant lamps.
+    #[must_use]
+    pub fn with_distant_lamps(self) -> Self {
+        Self { nearness: Nearness::Rest, ..self }
     }
 
     /// A light set of `count` directions: random on a cap, a ring with or without its vertical, a spiral or a
@@ -183,7 +201,9 @@ impl Generator {
             let normal = facing_camera(rng);
             (self.surface(rng, normal), share)
         });
-        let rig = Rig::random(rng, normal);
+        // Too few lights show none of it.
+        let nearness = if lights.len() < near::LEAST_LIGHTS { Nearness::Whole } else { self.nearness };
+        let rig = Rig::random(rng, normal, nearness);
         let mut values: Vec<f32> = lights
             .iter()
             .map(|&l| {
@@ -273,7 +293,7 @@ impl Generator {
 }
 
 impl Rig {
-    fn random(rng: &mut Rng, normal: Vec3) -> Self {
+    fn random(rng: &mut Rng, normal: Vec3, nearness: Nearness) -> Self {
         let eight_bit = rng.uniform() < 0.3;
         let brightest = if rng.uniform() < 0.15 { 1.2 } else { 0.0 };
         Self {
@@ -284,7 +304,7 @@ impl Rig {
             step: if eight_bit { 1.0 / 255.0 } else { 1.0 / 65535.0 },
             gain_error: rng.uniform() * 0.04,
             direction_error: rng.uniform() * 0.025,
-            place: place(rng, normal),
+            place: place(rng, normal, nearness),
             ambient: if rng.uniform() < 0.5 { 0.0 } else { rng.uniform() * 0.04 },
         }
     }
@@ -302,10 +322,19 @@ impl Rig {
     }
 }
 
+/// How far off the estimate of [`near`] may be.
+const LEFT: f32 = 0.035;
+
 /// Where a pixel with this normal is, in units of the lamps' distance: lamps stand seven half widths of the object away or
 /// farther, and what faces right is more often on the right.
-fn place(rng: &mut Rng, normal: Vec3) -> Vec3 {
-    let half_width = if rng.uniform() < 0.3 { 0.0 } else { rng.range(0.0, 0.15) };
+fn place(rng: &mut Rng, normal: Vec3, nearness: Nearness) -> Vec3 {
+    let kind = rng.uniform();
+    let half_width = match nearness {
+        _ if kind < 0.3 => 0.0,
+        // Some surfaces hide it.
+        Nearness::Rest if kind > 0.45 => rng.range(-LEFT, LEFT),
+        _ => rng.range(0.0, 0.15),
+    };
     let bulge = if rng.uniform() < 0.7 { rng.uniform() } else { 0.0 };
     let at = bulge * normal + (1.0 - bulge) * 0.5 * unit_normal(rng);
     half_width * Vec3::new(at.x, at.y, 0.7 * (at.z - 0.5 * bulge)).clamp_length_max(1.0)

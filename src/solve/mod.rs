@@ -4,6 +4,7 @@ pub mod expectation;
 pub mod irls;
 mod lanes;
 pub mod least_squares;
+pub mod near;
 pub mod pixel;
 mod robust;
 pub mod sparse_bayes;
@@ -13,7 +14,7 @@ pub mod uncertainty;
 
 use crate::camera::Observation;
 use crate::stack::Stack;
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 
 pub use irls::{Irls, Loss};
 pub use least_squares::LeastSquares;
@@ -164,6 +165,57 @@ pub trait Solver {
     fn solve(&self, measurements: &Measurements) -> Result<Solution, SolveError>;
 }
 
+/// Pictures of a whole object, made ready for a solver.
+#[derive(Clone, Debug)]
+pub struct Prepared<'a> {
+    given: Measurements<'a>,
+    distant: Option<Vec<Vec<f32>>>,
+    /// Nearness of the lamps that was taken out of them; 0 for none.
+    pub nearness: f32,
+}
+
+impl Prepared<'_> {
+    /// As the solver takes them.
+    #[must_use]
+    pub fn measurements(&self) -> Measurements<'_> {
+        match &self.distant {
+            Some(images) => {
+                Measurements { images: images.iter().map(Vec::as_slice).collect(), ..self.given.clone() }
+            }
+            None => self.given.clone(),
+        }
+    }
+}
+
+/// Makes the pictures of an object ready for the solver of this name: what has to be seen of the whole, before pixels are
+/// solved apart. `places` are those of the pixels ([`near::places`]).
+///
+/// # Errors
+/// As [`near::nearness`].
+pub fn prepare<'a>(
+    solver: &str,
+    given: Measurements<'a>,
+    places: &[Vec2],
+) -> Result<Prepared<'a>, SolveError> {
+    let nearness = nearness(solver, &given, places)?;
+    let distant = if nearness > 0.0 { Some(near::distant(&given, places, nearness)?) } else { None };
+    Ok(Prepared { given, distant, nearness })
+}
+
+/// Whether the solver of this name does, see [`Info::distant_lamps`].
+#[must_use]
+pub fn wants_distant_lamps(solver: &str) -> bool {
+    SOLVERS.iter().any(|s| s.name == solver && s.distant_lamps)
+}
+
+/// The lamps' nearness that is taken out of pictures for the solver of this name.
+///
+/// # Errors
+/// As [`near::nearness`].
+pub fn nearness(solver: &str, given: &Measurements, places: &[Vec2]) -> Result<f32, SolveError> {
+    if wants_distant_lamps(solver) { near::nearness(given, places) } else { Ok(0.0) }
+}
+
 /// What there is to know of a solver before it is built.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Info {
@@ -173,24 +225,31 @@ pub struct Info {
     pub label: &'static str,
     /// One line on how it works.
     pub about: &'static str,
+    /// Whether [`prepare`] takes the effect of near lamps out of its pictures. Solvers that are compared with published
+    /// numbers take pictures as they are.
+    pub distant_lamps: bool,
+}
+
+impl Info {
+    /// A solver that takes pictures as they are.
+    const fn textbook(name: &'static str, label: &'static str, about: &'static str) -> Self {
+        Self { name, label, about, distant_lamps: false }
+    }
 }
 
 /// Names that [`by_name`] knows, with a line for people.
 pub const SOLVERS: &[Info] = &[
-    Info { name: "ls", label: "Least squares", about: "least squares over all images (Woodham 1980)" },
-    Info {
-        name: "trimmed",
-        label: "Trimmed",
-        about: "least squares without each pixel's darkest and brightest values",
-    },
-    Info { name: "l1", label: "L1", about: "least absolute residuals, iteratively reweighted" },
-    Info { name: "huber", label: "Huber", about: "Huber's loss, iteratively reweighted" },
-    Info { name: "cauchy", label: "Cauchy", about: "Cauchy's loss, iteratively reweighted" },
-    Info { name: "sbr", label: "Sparse Bayes", about: "sparse Bayesian regression (Ikehata et al. 2012)" },
+    Info::textbook("ls", "Least squares", "least squares over all images (Woodham 1980)"),
+    Info::textbook("trimmed", "Trimmed", "least squares without each pixel's darkest and brightest values"),
+    Info::textbook("l1", "L1", "least absolute residuals, iteratively reweighted"),
+    Info::textbook("huber", "Huber", "Huber's loss, iteratively reweighted"),
+    Info::textbook("cauchy", "Cauchy", "Cauchy's loss, iteratively reweighted"),
+    Info::textbook("sbr", "Sparse Bayes", "sparse Bayesian regression (Ikehata et al. 2012)"),
     Info {
         name: pixel::NAME,
         label: "Learned",
         about: "learned: a set network over each pixel's observations, trained on synthetic pixels",
+        distant_lamps: true,
     },
 ];
 

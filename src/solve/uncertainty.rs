@@ -1,7 +1,9 @@
 //! How far off a normal probably is: per pixel in degrees ([`super::expectation`]), and for the whole object.
 
 use super::tiles::Piece;
-use super::{Measurements, Solution, SolveError, Solver, Validity, expectation};
+use super::{Measurements, Solution, SolveError, Solver, Validity, expectation, near, prepare};
+use crate::stack::Mask;
+use glam::Vec2;
 
 /// Adds the expected error of every pixel to what the solver of this name found.
 ///
@@ -46,10 +48,10 @@ impl StopAt {
         Self { degrees, least_lights: 5 }
     }
 
-    /// Whether these pictures are good enough, judged by `solver` on evenly spread pixels (at most [`JUDGED`] of them).
-    /// Lights in one plane are not.
+    /// Whether these pictures of `mask`'s pixels are good enough, judged by `solver` on evenly spread pixels (at most [`JUDGED`] of
+    /// them). Lights in one plane are not.
     #[must_use]
-    pub fn enough(&self, solver: &dyn Solver, pictures: &Measurements) -> bool {
+    pub fn enough(&self, solver: &dyn Solver, pictures: &Measurements, mask: &Mask) -> bool {
         let count = pictures.lights.len();
         if count < self.least_lights {
             return false;
@@ -57,8 +59,11 @@ impl StopAt {
         let pixels = pictures.images.first().map_or(0, |image| image.len());
         let some: Vec<u32> = (0..pixels as u32).step_by(pixels.div_ceil(JUDGED).max(1)).collect();
         let piece = Piece::of(pictures, &some);
-        let part = piece.measurements(pictures);
-        let solved = solver.solve(&part).and_then(|mut solution| {
+        let places = near::places(mask);
+        let places: Vec<Vec2> = some.iter().filter_map(|&p| places.get(p as usize).copied()).collect();
+        let solved = prepare(solver.name(), piece.measurements(pictures), &places).and_then(|ready| {
+            let part = ready.measurements();
+            let mut solution = solver.solve(&part)?;
             complete(solver.name(), &part, &mut solution)?;
             Ok(solution)
         });

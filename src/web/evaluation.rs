@@ -120,7 +120,9 @@ impl Evaluation {
             if spec.draw == 0 && failed.is_none() {
                 failed = report_step(of, settings, seen, size, on_step).err();
             }
-            judge.as_ref().is_none_or(|(stop, solver)| !stop.enough(&**solver, &Measurements::of(seen)))
+            judge
+                .as_ref()
+                .is_none_or(|(stop, solver)| !stop.enough(&**solver, &Measurements::of(seen), &of.stack.mask))
         };
         let in_pieces = settings.solvers.iter().position(|name| name == pixel::NAME);
         let at_once: Vec<String> = settings.solvers.iter().filter(|n| *n != pixel::NAME).cloned().collect();
@@ -156,7 +158,7 @@ impl Evaluation {
     /// The last run's normals with the solver `pixel`, where the settings ask for it: to be solved in pieces, and then
     /// given to `settle`.
     pub fn tiles(&self) -> Result<Option<Tiles>, JsError> {
-        self.open.as_ref().map(|seen| Tiles::new(&self.of, seen)).transpose()
+        self.open.as_ref().map(|seen| Tiles::new(&self.of, seen, pixel::NAME)).transpose()
     }
 
     /// Puts the last run's solution by `pixel` into the table.
@@ -199,10 +201,10 @@ fn report_step(
             if name == pixel::NAME {
                 return None;
             }
-            let pictures = Measurements::of(seen);
+            let solver = solve::by_name(name).ok()?;
             // Less than three lights, or lights in one plane: no normals yet.
-            let solution = solve::by_name(name).ok()?.solve(&pictures).ok()?;
-            Score::of(name, &pictures, solution, of.stack.truth.as_deref()).ok()?.degrees()
+            let truth = of.stack.truth.as_deref();
+            Score::of(&*solver, Measurements::of(seen), &of.places, truth).ok()?.degrees()
         })
         .collect();
     on_step

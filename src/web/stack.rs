@@ -9,11 +9,11 @@ use crate::error;
 use crate::eval::{Score, plot};
 use crate::light;
 use crate::relight::{Lookup, StackCamera};
-use crate::solve::{self, Measurements, Validity, uncertainty};
+use crate::solve::{self, Measurements, Validity, near, uncertainty};
 use crate::stack::{BitDepth, Mask};
 use crate::surface::{self, Integration};
 use crate::view::{self, Tone};
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use std::rc::Rc;
 use wasm_bindgen::prelude::*;
 
@@ -26,6 +26,8 @@ pub(super) struct Prepared {
     pub(super) stack: crate::stack::Stack,
     pub(super) tone: Tone,
     tint: Vec<[f32; 3]>,
+    /// Of the pixels, see [`near::places`].
+    pub(super) places: Vec<Vec2>,
 }
 
 impl Prepared {
@@ -37,7 +39,8 @@ impl Prepared {
 impl Stack {
     pub(super) fn new(stack: crate::stack::Stack) -> Self {
         let (tone, tint) = (Tone::of(&stack), view::tint(&stack));
-        Self(Rc::new(Prepared { stack, tone, tint }))
+        let places = near::places(&stack.mask);
+        Self(Rc::new(Prepared { stack, tone, tint, places }))
     }
 }
 
@@ -156,16 +159,18 @@ impl Observations {
     /// Normals from all of them.
     pub fn solve(&self, solver: &str) -> Result<Solution, JsError> {
         let solver = super::solver(solver)?;
-        let measurements = Measurements::of(&self.seen);
+        let ready =
+            solve::prepare(solver.name(), Measurements::of(&self.seen), &self.of.places).map_err(fail)?;
+        let measurements = ready.measurements();
         let mut solution = solver.solve(&measurements).map_err(fail)?;
         uncertainty::complete(solver.name(), &measurements, &mut solution).map_err(fail)?;
         let errors = self.of.stack.truth.as_ref().map(|truth| error::error_map(&solution.normals, truth));
-        Ok(Solution::of(&self.of, solution, errors))
+        Ok(Solution::of(&self.of, solution, errors, ready.nearness))
     }
 
     /// The same in pieces, for a solver that takes seconds.
-    pub fn tiles(&self) -> Result<Tiles, JsError> {
-        Tiles::new(&self.of, &self.seen)
+    pub fn tiles(&self, solver: &str) -> Result<Tiles, JsError> {
+        Tiles::new(&self.of, &self.seen, solver)
     }
 }
 
@@ -175,11 +180,18 @@ pub struct Solution {
     of: Rc<Prepared>,
     solution: solve::Solution,
     errors: Option<error::ErrorMap>,
+    /// Of the lamps, taken out of the pictures.
+    nearness: f32,
 }
 
 impl Solution {
-    pub(super) fn of(of: &Rc<Prepared>, solution: solve::Solution, errors: Option<error::ErrorMap>) -> Self {
-        Self { of: Rc::clone(of), solution, errors }
+    pub(super) fn of(
+        of: &Rc<Prepared>,
+        solution: solve::Solution,
+        errors: Option<error::ErrorMap>,
+        nearness: f32,
+    ) -> Self {
+        Self { of: Rc::clone(of), solution, errors, nearness }
     }
 
     pub(super) fn score(&self) -> Score {
@@ -272,6 +284,13 @@ impl Solution {
         uncertainty::predicted_mae(&self.solution).map(f64::from)
     }
 
+    /// How far away the lamps seem to be, half widths of the object, where their nearness was taken out of the pictures.
+    #[wasm_bindgen(getter, js_name = lampDistance)]
+    #[must_use]
+    pub fn lamp_distance(&self) -> Option<f32> {
+        (self.nearness > 0.0).then(|| 1.0 / self.nearness)
+    }
+
     /// Column and row in the image, normal, expected error and (where known) error of the pixel at a position of the
     /// pictures.
     #[must_use]
@@ -310,7 +329,7 @@ impl Solution {
     /// The solved object, ready for any light.
     #[must_use]
     pub fn relit(&self) -> Relit {
-        let Prepared { stack, tone, tint } = &*self.of;
+        let Prepared { stack, tone, tint, .. } = &*self.of;
         let Self { solution, .. } = self;
         Relit(view::Relit::new(&stack.mask, &solution.normals, &solution.albedo, tint, tone.clone()))
     }

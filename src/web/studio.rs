@@ -758,7 +758,7 @@ impl Studio {
         let session = self.capture.session();
         self.solution = session.solve(&*self.solver, session.seen().len()).ok();
         let pictures = Measurements::of(session.seen());
-        if self.stop_at.is_some_and(|stop| stop.enough(&*self.solver, &pictures)) {
+        if self.stop_at.is_some_and(|stop| stop.enough(&*self.solver, &pictures, session.mask())) {
             self.capture.finish();
         }
         self.capture.solved((clock() - start) / 1000.0);

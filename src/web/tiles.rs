@@ -6,9 +6,9 @@ use super::stack::{Prepared, Solution};
 use super::{directions, fail, flat};
 use crate::camera::Observation;
 use crate::error;
-use crate::solve::tiles::{self, Piece};
-use crate::solve::{self, Measurements, Validity, uncertainty};
-use glam::Vec3;
+use crate::solve::tiles::{Assembly, Piece};
+use crate::solve::{self, Measurements, Validity, near, uncertainty};
+use glam::{Vec2, Vec3};
 use std::rc::Rc;
 use wasm_bindgen::prelude::*;
 
@@ -20,14 +20,9 @@ const NUMBERS: usize = 6;
 pub struct Tiles {
     of: Rc<Prepared>,
     seen: Rc<Vec<Observation>>,
-    /// Mask pixels, coarse to fine.
-    order: Vec<u32>,
-    /// Where the levels end in `order`.
-    ends: [usize; 4],
-    /// How many pixels of each level are not solved yet.
-    left: [usize; 4],
-    given: usize,
-    out: solve::Solution,
+    assembly: Assembly,
+    /// Of the lamps, taken out of the values; see [`solve::nearness`].
+    nearness: f32,
 }
 
 /// The values of some pixels, for `solvePiece`.
@@ -71,24 +66,12 @@ impl Values {
 }
 
 impl Tiles {
-    pub(super) fn new(of: &Rc<Prepared>, seen: &Rc<Vec<Observation>>) -> Result<Self, JsError> {
-        let pixels = Measurements::of(seen).check().map_err(fail)?;
-        let levels = tiles::coarse_to_fine(&of.stack.mask);
-        let left = levels.each_ref().map(Vec::len);
-        let mut end = 0;
-        let ends = left.map(|count| {
-            end += count;
-            end
-        });
-        let out = solve::Solution {
-            normals: vec![Vec3::Z; pixels],
-            albedo: vec![0.0; pixels],
-            validity: vec![Validity::Shadowed; pixels],
-            uncertainty: Some(vec![90.0; pixels]),
-            own: Vec::new(),
-        };
-        let (of, seen, order) = (Rc::clone(of), Rc::clone(seen), levels.concat());
-        Ok(Self { of, seen, order, ends, left, given: 0, out })
+    pub(super) fn new(of: &Rc<Prepared>, seen: &Rc<Vec<Observation>>, solver: &str) -> Result<Self, JsError> {
+        let pictures = Measurements::of(seen);
+        pictures.check().map_err(fail)?;
+        let nearness = solve::nearness(solver, &pictures, &of.places).map_err(fail)?;
+        let assembly = Assembly::new(&of.stack.mask);
+        Ok(Self { of: Rc::clone(of), seen: Rc::clone(seen), assembly, nearness })
     }
 }
 
@@ -104,31 +87,34 @@ impl Tiles {
     #[wasm_bindgen(getter)]
     #[must_use]
     pub fn total(&self) -> usize {
-        self.order.len()
+        self.assembly.total()
     }
 
     /// Number of pixels that are solved.
     #[wasm_bindgen(getter)]
     #[must_use]
     pub fn done(&self) -> usize {
-        self.order.len() - self.left.iter().sum::<usize>()
+        self.assembly.done()
     }
 
     /// How many of the four levels (every 8th pixel of every 8th row, every 4th, every 2nd, all) are solved.
     #[wasm_bindgen(getter)]
     #[must_use]
     pub fn levels(&self) -> usize {
-        self.left.iter().take_while(|&&left| left == 0).count()
+        self.assembly.levels()
     }
 
     /// The values of the next pixels, at most `most`; undefined when all were given.
-    pub fn next(&mut self, most: usize) -> Option<Values> {
-        let first = self.given;
-        let level_end = *self.ends.iter().find(|&&end| end > first)?;
-        let end = level_end.min(first + most.max(1));
-        self.given = end;
-        let piece = Piece::of(&Measurements::of(&self.seen), &self.order[first..end]);
-        let count = end - first;
+    pub fn next(&mut self, most: usize) -> Result<Option<Values>, JsError> {
+        let Some((first, pixels)) = self.assembly.next(most) else { return Ok(None) };
+        let whole = Measurements::of(&self.seen);
+        let mut piece = Piece::of(&whole, pixels);
+        if self.nearness > 0.0 {
+            let places: Vec<Vec2> = pixels.iter().map(|&p| self.of.places[p as usize]).collect();
+            piece.images =
+                near::distant(&piece.measurements(&whole), &places, self.nearness).map_err(fail)?;
+        }
+        let count = pixels.len();
         let mut saturated = Vec::new();
         if piece.saturated.iter().any(|flags| flags.contains(&true)) {
             for flags in &piece.saturated {
@@ -137,60 +123,43 @@ impl Tiles {
                 saturated.resize(at + count, 0);
             }
         }
-        Some(Values { first, count, values: piece.images.concat(), saturated })
+        Ok(Some(Values { first, count, values: piece.images.concat(), saturated }))
     }
 
     /// Takes in what `solvePiece` has made of the values that began at `first`.
     pub fn put(&mut self, first: usize, solved: &[f32]) -> Result<(), JsError> {
         let (rows, rest) = solved.as_chunks::<NUMBERS>();
-        let pixels = self.order.get(first..first + rows.len()).filter(|_| rest.is_empty());
-        let pixels = pixels.ok_or_else(|| fail(format!("{} numbers from pixel {first}", solved.len())))?;
-        let level = self.ends.iter().position(|&end| end > first).unwrap_or(3);
-        for (&p, &[x, y, z, albedo, degrees, validity]) in pixels.iter().zip(rows) {
-            let p = p as usize;
-            self.out.normals[p] = Vec3::new(x, y, z);
-            self.out.albedo[p] = albedo;
-            self.out.validity[p] = match validity {
-                0.0 => Validity::Valid,
-                1.0 => Validity::Shadowed,
-                _ => Validity::Saturated,
-            };
-            if let Some(uncertainty) = &mut self.out.uncertainty {
-                uncertainty[p] = degrees;
-            }
+        if !rest.is_empty() {
+            return Err(fail(format!("{} numbers: {NUMBERS} for each pixel are needed", solved.len())));
         }
-        self.left[level] = self.left[level].saturating_sub(rows.len());
-        Ok(())
+        let validity = |row: &[f32; NUMBERS]| match row[5] {
+            0.0 => Validity::Valid,
+            1.0 => Validity::Shadowed,
+            _ => Validity::Saturated,
+        };
+        let part = solve::Solution {
+            normals: rows.iter().map(|&[x, y, z, ..]| Vec3::new(x, y, z)).collect(),
+            albedo: rows.iter().map(|row| row[3]).collect(),
+            validity: rows.iter().map(validity).collect(),
+            uncertainty: Some(rows.iter().map(|row| row[4]).collect()),
+            own: Vec::new(),
+        };
+        self.assembly.put(first, &part).map_err(fail)
     }
 
     /// The solution: each pixel its own where all levels are solved, before that the next solved one's above and left.
     #[must_use]
     pub fn solution(&self) -> Solution {
-        let levels = self.levels();
-        let mut last = self.order.first().map_or(0, |&p| p as usize);
-        let shown: Vec<usize> = tiles::shown_by(&self.of.stack.mask, levels.max(1) - 1)
-            .into_iter()
-            .map(|by| {
-                last = by.map_or(last, |p| p as usize);
-                last
-            })
-            .collect();
-        let all = &self.out;
-        let solution = solve::Solution {
-            normals: shown.iter().map(|&p| all.normals[p]).collect(),
-            albedo: shown.iter().map(|&p| all.albedo[p]).collect(),
-            validity: shown.iter().map(|&p| all.validity[p]).collect(),
-            uncertainty: all.uncertainty.as_ref().map(|u| shown.iter().map(|&p| u[p]).collect()),
-            own: Vec::new(),
-        };
+        let shown = self.assembly.shown(&self.of.stack.mask);
+        let solution = self.assembly.solution(&shown);
         let errors = self.of.stack.truth.as_ref().map(|truth| {
             // A pixel shows another's error with that one's normal: its own would count the coarseness.
-            let map = error::error_map(&all.normals, truth);
+            let map = error::error_map(&self.assembly.solved().normals, truth);
             let degrees: Vec<f32> = shown.iter().map(|&p| map.degrees[p]).collect();
             let mae = degrees.iter().map(|&d| f64::from(d)).sum::<f64>() / degrees.len().max(1) as f64;
             error::ErrorMap { degrees, mae, unknown: map.unknown }
         });
-        Solution::of(&self.of, solution, errors)
+        Solution::of(&self.of, solution, errors, self.nearness)
     }
 }
 

@@ -105,7 +105,7 @@ export function mountMaps(root, { page, store, actions }) {
 
   store.watch(["view"], ({ view, shown }) => {
     showTaken();
-    normals.show(view?.normals ?? null, `${preview(view)}from ${shown.step} lights${view?.invalid ? `, ${view.invalid} pixels unsolved` : ""}`);
+    normals.show(view?.normals ?? null, `${preview(view)}from ${shown.step} lights${lamps(view?.lampDistance)}${view?.invalid ? `, ${view.invalid} pixels unsolved` : ""}`);
     errors.show(view?.errors ?? null, said("mean", view?.mae) + (view?.unknown ? `, ${view.unknown} pixels without truth` : ""));
     expected.show(view?.expected ?? null, said("mean", view?.expectedMean));
   });
@@ -207,6 +207,11 @@ export function mountMaps(root, { page, store, actions }) {
       page.problem("The scale can't be drawn", error);
     }
   });
+}
+
+/** Says that the lamps' nearness was seen. @param {number | null | undefined} distance half widths */
+function lamps(distance) {
+  return distance ? `, lamps ≈ ${distance.toFixed(0)} half-widths away` : "";
 }
 
 /** Says how much of a coarse preview is solved. @param {import("../messages.js").StepView | null} view */

@@ -367,15 +367,15 @@ test("the learned solver runs in pieces, in several workers: the same to the bit
       const helpers = new Helpers(module);
       const both = (/** @type {import("../pkg/core/coil_ps.js").Solution} */ s) => [s.normals(), s.albedo(), s.errors() ?? [], s.expectedError ?? NaN, s.mae ?? NaN].join();
       const whole = both(observations.solve("pixel"));
-      const tiles = observations.tiles();
+      const tiles = observations.tiles("pixel");
       /** @type {number[]} */
       const levels = [];
       await helpers.solve(tiles, { signal: new AbortController().signal, urgent: true, onLevel: () => levels.push(tiles.done / tiles.total) });
       const cancelled = new AbortController();
-      const half = observations.tiles();
+      const half = observations.tiles("pixel");
       const end = await helpers.solve(half, { signal: cancelled.signal, urgent: true, onPiece: () => cancelled.abort() })
         .then(() => "finished", (/** @type {Error} */ error) => error.name);
-      const again = observations.tiles();
+      const again = observations.tiles("pixel");
       await helpers.solve(again, { signal: new AbortController().signal, urgent: true });
       return { same: both(tiles.solution()) === whole, again: both(again.solution()) === whole, levels, end, left: half.total - half.done, workers: navigator.hardwareConcurrency };
     });

@@ -676,7 +676,9 @@ fn drive(
                 let solution = capture.session().solve(&*solver, count);
                 capture.solved(start.elapsed().as_secs_f64());
                 let pictures = Measurements::of(capture.session().seen());
-                if let Some(stop) = args.stop_at.filter(|stop| stop.enough(&*solver, &pictures)) {
+                if let Some(stop) =
+                    args.stop_at.filter(|stop| stop.enough(&*solver, &pictures, capture.session().mask()))
+                {
                     println!("{count} lights are enough for a predicted error of at most {}°", stop.degrees);
                     capture.finish();
                 }

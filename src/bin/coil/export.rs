@@ -7,7 +7,7 @@ use clap::ValueEnum;
 use coil_ps::dataset::diligent::object_name;
 use coil_ps::dataset::{Files, Header, Limits, archive, csv, diligent102, lp, write_object};
 use coil_ps::eval::{Protocol, plot};
-use coil_ps::solve::{self, Measurements};
+use coil_ps::solve::{self, Measurements, near};
 use coil_ps::stack::BitDepth;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -100,7 +100,10 @@ fn export(
         Format::Submission => {
             let (raw, _) = files::read_object(files, dir, limits)?;
             let stack = Protocol::Official.apply(&raw)?;
-            let normals = solve::by_name(&args.solver)?.solve(&Measurements::of_stack(&stack))?.normals;
+            let solver = solve::by_name(&args.solver)?;
+            let ready =
+                solve::prepare(solver.name(), Measurements::of_stack(&stack), &near::places(&stack.mask))?;
+            let normals = solver.solve(&ready.measurements())?.normals;
             vec![(format!("{name}.mat"), diligent102::submission(&stack.mask, &normals))]
         }
     };

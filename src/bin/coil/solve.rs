@@ -14,7 +14,7 @@ use coil_ps::pixels::tune::rank_correlation;
 use coil_ps::planner;
 use coil_ps::relight::Lookup;
 use coil_ps::solve::uncertainty::{self, StopAt};
-use coil_ps::solve::{self, Measurements, Solution};
+use coil_ps::solve::{self, Measurements, Solution, near};
 use coil_ps::stack::BitDepth;
 use coil_ps::surface::export::Format;
 use coil_ps::surface::{Integration, Surface, integrate};
@@ -143,11 +143,14 @@ fn one(
     let mut seen = run::run(subject, &spec, &[], Some(models))?.seen;
     // Planners look back only, so stopping early and cutting the whole run short are the same.
     if let Some(stop) = args.stop_at {
-        let enough = |&count: &usize| stop.enough(solver, &Measurements::of(&seen[..count]));
+        let mask = subject.mask();
+        let enough = |&count: &usize| stop.enough(solver, &Measurements::of(&seen[..count]), mask);
         seen.truncate((1..seen.len()).find(enough).unwrap_or(seen.len()));
     }
-    let (count, measurements) = (seen.len(), Measurements::of(&seen));
+    let count = seen.len();
     let begun = Instant::now();
+    let ready = solve::prepare(solver.name(), Measurements::of(&seen), &near::places(subject.mask()))?;
+    let measurements = ready.measurements();
     let mut solution = solver.solve(&measurements)?;
     let solved = begun.elapsed().as_secs_f64();
     let begun = Instant::now();
@@ -159,8 +162,12 @@ fn one(
         let each = solution.uncertainty.as_deref().unwrap_or_default();
         Prediction { expected: f64::from(expected), truth: t.mae, rank: rank_correlation(each, &t.degrees) }
     });
+    let lamps = match ready.nearness {
+        0.0 => String::new(),
+        nearness => format!(", lamps about {:.0} half widths away", 1.0 / nearness),
+    };
     println!(
-        "{}: {} pixels, {count} lights, {}: expected {:.2}°{}, {:.1} % valid, {:.0} ms, expected errors {:.0} ms",
+        "{}: {} pixels, {count} lights{lamps}, {}: expected {:.2}°{}, {:.1} % valid, {:.0} ms, expected errors {:.0} ms",
         subject.name(),
         solution.normals.len(),
         solver.name(),

@@ -21,6 +21,9 @@ pub struct Args {
     /// Folder of the run: checkpoint, log.jsonl and the network as pixel.onnx. A run that is there is resumed.
     #[arg(long)]
     out: PathBuf,
+    /// Network (pixel.onnx) whose weights a new run begins with.
+    #[arg(long, value_name = "FILE")]
+    from: Option<PathBuf>,
     /// Steps of the whole run (the learning rate falls to 0 at the last).
     #[arg(long, default_value_t = Recipe::default().steps)]
     steps: u64,
@@ -67,12 +70,16 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let mut training = if checkpoint.exists() {
         let bytes = fs::read(&checkpoint).with_context(|| format!("can't read {}", checkpoint.display()))?;
         Training::resume(recipe, &bytes).with_context(|| checkpoint.display().to_string())?
+    } else if let Some(from) = &args.from {
+        let bytes = fs::read(from).with_context(|| format!("can't read {}", from.display()))?;
+        let model = onnx::read(&bytes).with_context(|| from.display().to_string())?;
+        Training::from(model.network, recipe)
     } else {
         Training::new(recipe)
     };
     let mut log = fs::OpenOptions::new().create(true).append(true).open(args.out.join("log.jsonl"))?;
-    let generator = Generator::new(Split::Train);
-    let unseen = Generator::new(Split::Validation);
+    let generator = Generator::new(Split::Train).with_distant_lamps();
+    let unseen = Generator::new(Split::Validation).with_distant_lamps();
     let benches: Vec<_> = LIGHTS.iter().map(|&t| bench(&unseen, VALIDATION_SEED, t, 60, 32)).collect();
     for name in solve::SOLVERS.iter().map(|s| s.name).filter(|n| *n != solve::pixel::NAME) {
         println!("validation {name:8} {}", validate(&*solve::by_name(name)?, &benches)?);

@@ -1,8 +1,9 @@
 //! `coil tune`: the robust solvers' parameters and every solver's expected errors, from synthetic pixels.
 
 use crate::{models, output};
+use coil_ps::eval::statistics::mean;
 use coil_ps::pixels::tune::{Score, bench, score};
-use coil_ps::pixels::{Generator, expectation};
+use coil_ps::pixels::{Generator, expectation, nearness};
 use coil_ps::render::worlds::Split;
 use coil_ps::solve::{self, Irls, Loss, Solver, SparseBayes, Thresholds, Trimmed};
 use rayon::prelude::*;
@@ -24,9 +25,12 @@ pub struct Args {
     /// Instead fit what errors to expect of every solver, and write the weights to FILE (models/expected-error.json).
     #[arg(long, value_name = "FILE")]
     uncertainty: Option<PathBuf>,
+    /// Instead print how well the lamps' nearness is seen in the pictures of rendered objects.
+    #[arg(long, conflicts_with = "uncertainty")]
+    nearness: bool,
     #[command(flatten)]
     models: models::Folder,
-    /// Rendered objects that this is fitted to.
+    /// Rendered objects that this is fitted to, or printed of.
     #[arg(long, default_value_t = 800, value_parser = output::at_least_one())]
     objects: usize,
     /// Rendered validation objects that it is looked at on.
@@ -43,6 +47,9 @@ const LIGHTS: [usize; 4] = [5, 10, 20, 60];
 pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     if let Some(out) = &args.uncertainty {
         return fit_expected(&args, out);
+    }
+    if args.nearness {
+        return print_nearness(&args);
     }
     let generator = Generator::new(Split::Train);
     let benches: Vec<_> = LIGHTS.iter().map(|&t| bench(&generator, args.seed, t, args.sets, 64)).collect();
@@ -85,10 +92,10 @@ fn fit_expected(args: &Args, out: &Path) -> anyhow::Result<ExitCode> {
         .par_iter()
         .map(|&solve::Info { name, .. }| {
             let solver = solve::by_name(name)?;
-            let judge = expectation::fit(&expectation::samples(&*solver, &pixels)?, args.seed);
+            let judge = expectation::fit(&expectation::samples(&*solver, pixels.of(name))?, args.seed);
             let mut line = format!("{name:8}");
             for (lights, objects) in &checks {
-                let c = expectation::check(&*solver, &judge, objects)?;
+                let c = expectation::check(&*solver, &judge, objects.of(name))?;
                 line += &format!(
                     "  {lights} {:5.2} {:5.2} {:3.0} % {:.2}",
                     c.mean,
@@ -109,6 +116,31 @@ fn fit_expected(args: &Args, out: &Path) -> anyhow::Result<ExitCode> {
         .collect::<anyhow::Result<_>>()?;
     output::write(out, format!("{{\n{}\n}}\n", lines.join(",\n")).as_bytes())?;
     eprintln!("{:.0} s", seconds.elapsed().as_secs_f64());
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Prints how far off the estimates of the lamps' nearness are.
+fn print_nearness(args: &Args) -> anyhow::Result<ExitCode> {
+    let all = nearness::estimates(args.objects, args.size).map_err(anyhow::Error::msg)?;
+    println!(
+        "nearness (half width over the lamps' distance), {} training objects, root mean square:",
+        args.objects
+    );
+    for (least, most) in [(5, 8), (9, 14), (15, 24)] {
+        let some: Vec<_> = all.iter().filter(|e| (least..=most).contains(&e.lights)).collect();
+        let square = |f: &dyn Fn(&nearness::Estimate) -> f32| {
+            let squares: Vec<f64> = some.iter().map(|e| f64::from(f(e)).powi(2)).collect();
+            mean(&squares).sqrt()
+        };
+        let distant: Vec<f64> = some.iter().filter(|e| e.truth == 0.0).map(|e| f64::from(e.found)).collect();
+        println!(
+            "  {least:2} to {most:2} lights ({:4} sets): {:.3} is {:.3} off; distant lamps are taken for {:.4} in the mean",
+            some.len(),
+            square(&|e| e.truth),
+            square(&|e| e.found - e.truth),
+            mean(&distant)
+        );
+    }
     Ok(ExitCode::SUCCESS)
 }
 
