@@ -23,11 +23,15 @@ const STRIDE: f32 = 1.5;
 const LONGEST: f32 = 6.0;
 /// Between these the estimate stays.
 const RANGE: [f32; 2] = [-0.02, 0.12];
+/// Iterations of a pixel's robust fit.
+const ITERATIONS: usize = 12;
 /// Residual at which a value counts half, in units of the albedo.
 const SCALE: f32 = 0.03;
 /// Values at most this fraction of a pixel's brightest are shadow, and what light of a smaller cosine gives says little.
 const DARK: f32 = 0.05;
 const GRAZING: f32 = 0.1;
+/// Weight of shadows and of what the sensor cut off.
+const UNTRUSTED: f32 = 1e-3;
 /// How large a nearness is expected to be, and how many times its standard error an estimate is off (root mean square; the standard error
 /// knows nothing of reflectance that looks like nearness). From training objects: `coil tune --nearness`.
 const EXPECTED: f32 = 0.05;
@@ -58,6 +62,8 @@ pub fn places(mask: &Mask) -> Vec<Vec2> {
 struct Pixel {
     lamps: Vec<Vec3>,
     values: Vec<f32>,
+    /// 1, or [`UNTRUSTED`] for what is dark or cut off.
+    trust: Vec<f32>,
     weights: Vec<f32>,
     /// Robust albedo times normal.
     g: Vec3,
@@ -68,6 +74,7 @@ impl Pixel {
         Self {
             lamps: vec![Vec3::ZERO; lights],
             values: vec![0.0; lights],
+            trust: vec![1.0; lights],
             weights: vec![0.0; lights],
             g: Vec3::ZERO,
         }
@@ -89,17 +96,19 @@ impl Pixel {
             return false;
         }
         let per_brightest = 1.0 / brightest;
-        self.values.iter_mut().for_each(|v| *v *= per_brightest);
-        self.fit(12);
+        for (k, (v, trust)) in self.values.iter_mut().zip(&mut self.trust).enumerate() {
+            *v *= per_brightest;
+            let cut_off = m.saturated_in(k).get(p) == Some(&true);
+            *trust = if *v > DARK && !cut_off { 1.0 } else { UNTRUSTED };
+        }
+        self.fit();
         self.g.length_squared() > 1e-12 && self.g.is_finite()
     }
 
     /// Iteratively reweighted least squares with Cauchy's loss.
-    fn fit(&mut self, iterations: usize) {
-        for (w, &v) in self.weights.iter_mut().zip(&self.values) {
-            *w = if v > DARK { 1.0 } else { 1e-3 };
-        }
-        for _ in 0..iterations {
+    fn fit(&mut self) {
+        self.weights.copy_from_slice(&self.trust);
+        for _ in 0..ITERATIONS {
             let mut right = Vec3::ZERO;
             for ((&l, &v), &w) in self.lamps.iter().zip(&self.values).zip(&self.weights) {
                 right += l * (v * w);
@@ -108,7 +117,7 @@ impl Pixel {
             let per_scale = 1.0 / (SCALE * self.g.length().max(1e-9));
             for (k, w) in self.weights.iter_mut().enumerate() {
                 let r = (self.values[k] - self.g.dot(self.lamps[k])) * per_scale;
-                *w = (if self.values[k] > DARK { 1.0 } else { 1e-3 }) / (1.0 + r * r);
+                *w = self.trust[k] / (1.0 + r * r);
             }
         }
     }
@@ -123,14 +132,14 @@ impl Pixel {
         gram.inverse()
     }
 
-    /// Appends a row for each lit value: what is left of its columns beside the best normal, and its weight.
+    /// Appends a row for each light: what is left of its columns beside the best normal, and its weight.
     fn rows(&mut self, place: Vec2, rows: &mut Vec<(Row, f32)>) {
         let albedo = self.g.length();
         let n = self.g / albedo;
         let at = place.extend(0.0);
         let mut lit = 0;
-        for ((w, &lamp), &v) in self.weights.iter_mut().zip(&self.lamps).zip(&self.values) {
-            if n.dot(lamp) > GRAZING && v > DARK {
+        for ((w, &lamp), &trust) in self.weights.iter_mut().zip(&self.lamps).zip(&self.trust) {
+            if n.dot(lamp) > GRAZING && trust == 1.0 {
                 lit += 1;
             } else {
                 *w = 0.0;
