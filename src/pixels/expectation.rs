@@ -2,15 +2,15 @@
 
 use super::fit::{in_parallel, light_count};
 use super::tune::rank_correlation;
-use super::{Generator, Pixels};
+use super::{Generator, Pixels, PixelsError, pictures, seen};
 use crate::camera::{Camera, Domain};
 use crate::error::unit_angle;
 use crate::eval::statistics::median;
 use crate::planner::{self, Learned, Setup};
 use crate::render::worlds::{self, Split};
-use crate::render::{Options, SceneCamera, Tolerances};
+use crate::render::{SceneCamera, Tolerances};
 use crate::rng::Rng;
-use crate::session::{Session, Step};
+use crate::session::{Session, SessionError, Step};
 use crate::solve::expectation::{CUES, Judge, Layers, PARTS, Row, WEIGHTS, WIDTH, cues};
 use crate::solve::tiles::Piece;
 use crate::solve::{self, Measurements, SolveError, Solver, near, pixel};
@@ -75,10 +75,10 @@ impl Groups {
         images: &[Vec<f32>],
         object: &Seen,
         some: &[u32],
-    ) -> Result<(), String> {
+    ) -> Result<(), SolveError> {
         let images = images.iter().map(Vec::as_slice).collect();
         let whole = Measurements { lights, images, saturated: Vec::new() };
-        let ready = solve::prepare(pixel::NAME, whole.clone(), object.places).map_err(|e| e.to_string())?;
+        let ready = solve::prepare(pixel::NAME, whole.clone(), object.places)?;
         for (list, m) in [(&mut self.given, whole), (&mut self.distant, ready.measurements())] {
             list.push(Pixels {
                 images: Piece::of(&m, some).images,
@@ -101,8 +101,8 @@ struct Seen<'a> {
 /// by rigs good and bad; and a third as many light sets of synthetic pixels.
 ///
 /// # Errors
-/// Why the first object that can't be rendered can't.
-pub fn pixels(objects: usize, size: u32, learned: &dyn Learned) -> Result<Groups, String> {
+/// [`PixelsError`] of the first object that has one.
+pub fn pixels(objects: usize, size: u32, learned: &dyn Learned) -> Result<Groups, PixelsError> {
     let generator = Generator::new(Split::Train);
     let mut all = Groups::default();
     for group in in_parallel(objects, |number| rendered(&generator, number, size, learned)) {
@@ -125,7 +125,7 @@ fn rendered(
     number: usize,
     size: u32,
     learned: &dyn Learned,
-) -> Result<Groups, String> {
+) -> Result<Groups, PixelsError> {
     let mut rng = Rng::stream(0x6a7564, number as u64);
     let validation = rng.uniform() < VALIDATION_SHARE;
     let object = if validation {
@@ -133,8 +133,7 @@ fn rendered(
     } else {
         worlds::training(1, number)
     };
-    let scene =
-        object.scene(&Options { size, ..Options::default() }).map_err(|e| format!("{}: {e}", object.name))?;
+    let scene = seen(&object, size)?;
     let camera = SceneCamera::real(&scene, Tolerances::any(&mut rng, COLLIMATED, NEAREST), number as u64);
     let truth = scene.truth();
     let mut sets: Vec<_> = (0..RANDOM).map(|_| random(&mut rng, 10)).collect();
@@ -164,11 +163,6 @@ fn rendered(
     Ok(out)
 }
 
-/// Grey values of the pictures under these lights.
-fn pictures(camera: &dyn Camera, lights: &[Vec3]) -> Result<Vec<Vec<f32>>, String> {
-    lights.iter().map(|&l| camera.capture(l, &[]).map(|o| o.grey).map_err(|e| e.to_string())).collect()
-}
-
 /// The lights that a planner asks for, of slants up to `reach` (radians).
 fn planned(
     camera: &dyn Camera,
@@ -177,14 +171,14 @@ fn planned(
     reach: f32,
     seed: u64,
     learned: &dyn Learned,
-) -> Result<Vec<Vec3>, String> {
+) -> Result<Vec<Vec3>, PixelsError> {
     let setup = Setup { lights, seed, draw: 1, camera: Some(camera), truth: None, learned: Some(learned) };
-    let failed = |e: &dyn std::fmt::Display| format!("{name}: {e}");
-    let planner = planner::build(name, &setup).map_err(|e| failed(&e))?;
+    let failed = |error: SessionError| PixelsError::Plan { planner: name.into(), error };
+    let planner = planner::build(name, &setup).map_err(|e| failed(e.into()))?;
     let mut session = Session::new(camera.mask().clone(), Domain::Hemisphere { reach }, planner, lights);
-    while let Step::Capture(direction) = session.step().map_err(|e| failed(&e))? {
-        let picture = camera.capture(direction, session.seen()).map_err(|e| failed(&e))?;
-        session.observe(picture).map_err(|e| failed(&e))?;
+    while let Step::Capture(direction) = session.step().map_err(failed)? {
+        let picture = camera.capture(direction, session.seen())?;
+        session.observe(picture).map_err(failed)?;
     }
     Ok(session.seen().iter().map(|o| o.light).collect())
 }
@@ -326,15 +320,15 @@ fn slope(y: f32) -> f32 {
 /// those of the learned planner.
 ///
 /// # Errors
-/// Why the first object that can't be rendered can't.
+/// [`PixelsError`] of the first object that has one.
 pub fn checks(
     objects: usize,
     size: u32,
     learned: &dyn Learned,
-) -> Result<Vec<(&'static str, Groups)>, String> {
+) -> Result<Vec<(&'static str, Groups)>, PixelsError> {
     let all = in_parallel(objects, |number| {
         let object = worlds::validation(1, number);
-        let scene = object.scene(&Options { size, ..Options::default() }).map_err(|e| e.to_string())?;
+        let scene = seen(&object, size)?;
         let camera = SceneCamera::real(&scene, Tolerances::RIG, 1);
         let (truth, places) = (scene.truth(), near::places(camera.mask()));
         let every: Vec<u32> = (0..truth.len() as u32).collect();
@@ -347,7 +341,7 @@ pub fn checks(
                 one.add(lights, &images, &Seen { truth, places: &places }, &every)?;
                 Ok(one)
             })
-            .collect::<Result<Vec<_>, String>>()
+            .collect::<Result<Vec<_>, PixelsError>>()
     });
     let mut sets = CHECKED.map(|(title, _)| (title, Groups::default()));
     for object in all {
@@ -439,7 +433,7 @@ mod tests {
                 None
             }
         }
-        assert!(pixels(1, 24, &Nothing).unwrap_err().starts_with("coil: "));
+        assert!(pixels(1, 24, &Nothing).unwrap_err().to_string().starts_with("coil: "));
     }
 
     #[test]

@@ -9,12 +9,14 @@ pub mod fit;
 pub mod nearness;
 pub mod tune;
 
+use crate::camera::{Camera, CameraError};
 use crate::image::luma;
 use crate::light;
-use crate::render::Material;
-use crate::render::worlds::Split;
+use crate::render::worlds::{self, Split};
+use crate::render::{Material, Options, RenderError, Scene};
 use crate::rng::Rng;
-use crate::solve::near;
+use crate::session::SessionError;
+use crate::solve::{SolveError, near};
 use glam::Vec3;
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
@@ -48,6 +50,44 @@ pub struct Pixels {
     pub normals: Vec<Vec3>,
     /// For each light which pixels are saturated; empty where the sensor has no limit.
     pub saturated: Vec<Vec<bool>>,
+}
+
+/// Why pixels of rendered objects can't be made.
+#[derive(Debug, thiserror::Error)]
+pub enum PixelsError {
+    /// An object can't be rendered.
+    #[error("{object}: {error}")]
+    Object {
+        /// Its name.
+        object: String,
+        /// Why not.
+        error: RenderError,
+    },
+    /// A planner fails on it.
+    #[error("{planner}: {error}")]
+    Plan {
+        /// Its name.
+        planner: String,
+        /// Why.
+        error: SessionError,
+    },
+    /// A picture can't be taken.
+    #[error(transparent)]
+    Camera(#[from] CameraError),
+    /// The lamps' nearness can't be looked for.
+    #[error(transparent)]
+    Solve(#[from] SolveError),
+}
+
+/// An object as cameras see it.
+fn seen(object: &worlds::Object, size: u32) -> Result<Scene, PixelsError> {
+    let scene = object.scene(&Options { size, ..Options::default() });
+    scene.map_err(|error| PixelsError::Object { object: object.name.clone(), error })
+}
+
+/// Grey values of the pictures under these lights.
+fn pictures(camera: &dyn Camera, lights: &[Vec3]) -> Result<Vec<Vec<f32>>, PixelsError> {
+    lights.iter().map(|&l| Ok(camera.capture(l, &[])?.grey)).collect()
 }
 
 /// One patch of surface of up to two materials.

@@ -1,10 +1,11 @@
 //! How well the lamps' nearness is seen ([`near`]): on rendered objects under lamps that are as near as is known.
 
 use super::fit::in_parallel;
+use super::{PixelsError, pictures, seen};
 use crate::camera::Camera;
 use crate::light;
 use crate::render::worlds;
-use crate::render::{Options, SceneCamera, Tolerances};
+use crate::render::{SceneCamera, Tolerances};
 use crate::rng::Rng;
 use crate::solve::{Measurements, near};
 use glam::Vec3;
@@ -28,17 +29,16 @@ const NEAREST: f32 = 0.1;
 /// its vertical, and an even spread of 5 to 24.
 ///
 /// # Errors
-/// Why the first object that can't be rendered can't.
-pub fn estimates(objects: usize, size: u32) -> Result<Vec<Estimate>, String> {
+/// [`PixelsError`] of the first object that has one.
+pub fn estimates(objects: usize, size: u32) -> Result<Vec<Estimate>, PixelsError> {
     let of_objects = in_parallel(objects, |number| of_object(number, size));
-    Ok(of_objects.into_iter().collect::<Result<Vec<_>, String>>()?.concat())
+    Ok(of_objects.into_iter().collect::<Result<Vec<_>, PixelsError>>()?.concat())
 }
 
-fn of_object(number: usize, size: u32) -> Result<Vec<Estimate>, String> {
+fn of_object(number: usize, size: u32) -> Result<Vec<Estimate>, PixelsError> {
     let rng = &mut Rng::stream(0x6e656172, number as u64);
     let object = worlds::training(1, number);
-    let scene = object.scene(&Options { size, ..Options::default() });
-    let scene = scene.map_err(|e| format!("{}: {e}", object.name))?;
+    let scene = seen(&object, size)?;
     let truth = if rng.uniform() < DISTANT { 0.0 } else { rng.range(1e-3, NEAREST) };
     let rig = Tolerances { distance: 1.0 / truth, ..Tolerances::any(rng, 1.0, NEAREST) };
     let camera = SceneCamera::real(&scene, rig, number as u64);
@@ -49,11 +49,10 @@ fn of_object(number: usize, size: u32) -> Result<Vec<Estimate>, String> {
     let random = (0..10).map(|_| rng.direction(reach)).collect();
     let even = light::fibonacci_cap(5 + rng.below(20), reach);
     let one = |lights: Vec<Vec3>| {
-        let pictures = lights.iter().map(|&l| camera.capture(l, &[]).map(|o| o.grey));
-        let pictures = pictures.collect::<Result<Vec<_>, _>>().map_err(|e| e.to_string())?;
+        let pictures = pictures(&camera, &lights)?;
         let images = pictures.iter().map(Vec::as_slice).collect();
         let m = Measurements { lights, images, saturated: Vec::new() };
-        let found = near::nearness(&m, &places).map_err(|e| e.to_string())?;
+        let found = near::nearness(&m, &places)?;
         Ok(Estimate { lights: m.lights.len(), truth, found })
     };
     [random, ring, even].into_iter().map(one).collect()

@@ -46,6 +46,11 @@ pub struct Config {
     pub transformer: bool,
 }
 
+/// Why a network can't be built: the size that is wrong, and what would be right.
+#[derive(Debug, thiserror::Error, PartialEq)]
+#[error("{0}")]
+pub struct ConfigError(String);
+
 impl Config {
     /// The network as the paper specifies it.
     #[must_use]
@@ -105,12 +110,14 @@ impl Config {
     /// weight keeps its shape.
     ///
     /// # Errors
-    /// A line that says which sides are possible.
-    pub fn seeing(&self, input: usize) -> Result<Self, String> {
+    /// [`ConfigError`] with the sides that are possible.
+    pub fn seeing(&self, input: usize) -> Result<Self, ConfigError> {
         let sides: Vec<usize> = (0..=4).map(|pools| self.grid() << pools).collect();
         match sides.iter().position(|&side| side == input) {
             Some(pools) => Ok(Self { input, pools, ..self.clone() }),
-            None => Err(format!("frames of {input}×{input}: this network takes a side of {sides:?}")),
+            None => {
+                Err(ConfigError(format!("frames of {input}×{input}: this network takes a side of {sides:?}")))
+            }
         }
     }
 
@@ -153,8 +160,8 @@ impl Config {
     /// Refuses sizes the network can't be built with; a damaged model file must not ask for any memory it likes.
     ///
     /// # Errors
-    /// A line that says which size is wrong.
-    pub fn check(&self) -> Result<(), String> {
+    /// [`ConfigError`] with the size that is wrong.
+    pub fn check(&self) -> Result<(), ConfigError> {
         let sizes = [
             self.input,
             self.width,
@@ -165,31 +172,43 @@ impl Config {
             self.head_hidden,
         ];
         if sizes.iter().chain(&self.channels).any(|&n| n == 0 || n > 4096) {
-            return Err("a size is 0 or above 4096".into());
+            return Err(ConfigError("a size is 0 or above 4096".into()));
         }
         if self.pools > 4 || !self.input.is_multiple_of(1 << self.pools) || self.input > 512 {
-            return Err(format!("input {} can't be halved {} times (4 at most)", self.input, self.pools));
+            return Err(ConfigError(format!(
+                "input {} can't be halved {} times (4 at most)",
+                self.input, self.pools
+            )));
         }
         if !self.grid().is_multiple_of(4) {
-            return Err(format!("the feature map is {0}×{0}: its side must be a multiple of 4", self.grid()));
+            return Err(ConfigError(format!(
+                "the feature map is {0}×{0}: its side must be a multiple of 4",
+                self.grid()
+            )));
         }
         if !self.width.is_multiple_of(2 * self.heads) {
-            return Err(format!("width {} is no multiple of 2 × {} heads", self.width, self.heads));
+            return Err(ConfigError(format!(
+                "width {} is no multiple of 2 × {} heads",
+                self.width, self.heads
+            )));
         }
         if !self.channels[3].is_multiple_of(4) {
-            return Err(format!("{} feature channels: must be a multiple of 4", self.channels[3]));
+            return Err(ConfigError(format!(
+                "{} feature channels: must be a multiple of 4",
+                self.channels[3]
+            )));
         }
         if self.horizon > self.max_frames || (self.horizon > 0 && (!self.base || self.horizon < FEWEST)) {
-            return Err(format!(
+            return Err(ConfigError(format!(
                 "a horizon of {} pictures: 0, or {FEWEST} to {} with a learned base",
                 self.horizon, self.max_frames
-            ));
+            )));
         }
         if self.layers > 16 || !(2..=256).contains(&self.max_frames) {
-            return Err(format!(
+            return Err(ConfigError(format!(
                 "{} layers, {} frames: at most 16 and 2 to 256",
                 self.layers, self.max_frames
-            ));
+            )));
         }
         Ok(())
     }
@@ -236,7 +255,7 @@ mod tests {
         let fine = Config::compact().seeing(64).unwrap();
         fine.check().unwrap();
         assert_eq!((fine.input, fine.pools, fine.grid()), (64, 4, Config::compact().grid()));
-        assert!(Config::compact().seeing(48).unwrap_err().contains("[4, 8, 16, 32, 64]"));
+        assert!(Config::compact().seeing(48).unwrap_err().to_string().contains("[4, 8, 16, 32, 64]"));
     }
 
     #[test]

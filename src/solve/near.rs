@@ -239,7 +239,7 @@ fn solve(gram: [[f64; COLUMNS]; COLUMNS]) -> Option<([f64; COLUMNS - 1], f64)> {
                 sum -= lower[i][k] * lower[j][k];
             }
             if i == j {
-                if !(sum > 0.0) {
+                if sum.is_nan() || sum <= 0.0 {
                     return None;
                 }
                 lower[i][i] = libm::sqrt(sum);

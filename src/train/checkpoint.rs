@@ -75,7 +75,7 @@ pub fn read(bytes: &[u8]) -> Result<Trainer, CheckpointError> {
     let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|_| damaged("no head"))?;
     let (head, rest) = rest.split_at_checked(length).ok_or_else(|| damaged("no head"))?;
     let head: Head = serde_json::from_slice(head).map_err(|e| CheckpointError::Damaged(e.to_string()))?;
-    let mut t = Trainer::new(head.recipe).map_err(CheckpointError::Damaged)?;
+    let mut t = Trainer::new(head.recipe).map_err(|e| CheckpointError::Damaged(e.to_string()))?;
     let copies = 3 + usize::from(t.average.is_some()) + usize::from(head.best.is_some());
     let (numbers, tail) = rest.as_chunks::<4>();
     if numbers.len() != copies * t.weights.count() || !tail.is_empty() {

@@ -7,7 +7,7 @@ use super::loss::{LeastSquares, Measure, TrainingSolver};
 use super::rollout::{Conditions, Episode, Pass, differentiate};
 use super::weights::Weights;
 use crate::light::fibonacci_cap;
-use crate::policy::config::Config;
+use crate::policy::config::{Config, ConfigError};
 use crate::render::{MAX_SIZE, RenderError};
 use crate::rng::Rng;
 use serde::{Deserialize, Serialize};
@@ -109,6 +109,46 @@ const STAGES: u64 = 0x706c_6163;
 /// Stored lights of soft interpolation (the paper's K).
 const STORED: usize = 1000;
 
+/// Why a recipe can't be followed.
+#[derive(Debug, thiserror::Error, PartialEq)]
+pub enum RecipeError {
+    /// The network can't be built.
+    #[error(transparent)]
+    Network(#[from] ConfigError),
+    /// There is no such solver to train through.
+    #[error("no training solver '{0}': choose from ls")]
+    Solver(String),
+    /// A number that can't be meant, and what would be right.
+    #[error("{0}")]
+    Value(String),
+}
+
+/// Why an update was not made.
+#[derive(Debug, thiserror::Error)]
+pub enum UpdateError {
+    /// The recipe is not one.
+    #[error(transparent)]
+    Recipe(#[from] RecipeError),
+    /// An object of the update can't be seen.
+    #[error("update {update}: an object can't be rendered: {error}")]
+    Object {
+        /// Which update, from 1.
+        update: u64,
+        /// Why not.
+        error: RenderError,
+    },
+    /// The loss or its gradient is not finite.
+    #[error("update {update}: loss {loss}, gradient {gradient}: not finite")]
+    NotFinite {
+        /// Which update, from 1.
+        update: u64,
+        /// The loss.
+        loss: f64,
+        /// Length of the gradient.
+        gradient: f32,
+    },
+}
+
 impl Recipe {
     /// For two CPU cores: the learning rate of a small network, random reaches and light sets.
     #[must_use]
@@ -175,50 +215,61 @@ impl Recipe {
     /// Refuses what can't be trained.
     ///
     /// # Errors
-    /// A line that says what is wrong.
-    pub fn check(&self) -> Result<(), String> {
+    /// [`RecipeError`] with what is wrong.
+    pub fn check(&self) -> Result<(), RecipeError> {
         self.config.check()?;
         if self.objects == 0 || self.steps == 0 || self.batch == 0 || self.micro_batch == 0 {
-            return Err("objects, steps, batch and micro-batch must be at least 1".into());
+            return Err(RecipeError::Value(
+                "objects, steps, batch and micro-batch must be at least 1".into(),
+            ));
         }
         if !(SMALLEST..=MAX_SIZE).contains(&self.resolution) {
             // Smaller, a thin sculpture may cover no pixel.
-            return Err(format!("pictures of {0}×{0} pixels: {SMALLEST} to {MAX_SIZE}", self.resolution));
+            return Err(RecipeError::Value(format!(
+                "pictures of {0}×{0} pixels: {SMALLEST} to {MAX_SIZE}",
+                self.resolution
+            )));
         }
         if !(4..=self.config.max_frames).contains(&self.lights) {
-            return Err(format!("{} lights: 4 to {}", self.lights, self.config.max_frames));
+            return Err(RecipeError::Value(format!(
+                "{} lights: 4 to {}",
+                self.lights, self.config.max_frames
+            )));
         }
         if self.config.horizon > 0 && self.config.horizon != self.lights {
-            return Err(format!(
+            return Err(RecipeError::Value(format!(
                 "a policy told of up to {} pictures in sequences of {}: the two must be equal",
                 self.config.horizon, self.lights
-            ));
+            )));
         }
         if !(3..=self.lights).contains(&self.first_loss) {
-            return Err(format!("loss from picture {} on: 3 to {}", self.first_loss, self.lights));
+            return Err(RecipeError::Value(format!(
+                "loss from picture {} on: 3 to {}",
+                self.first_loss, self.lights
+            )));
         }
         if !(self.rate > 0.0 && self.rate < 1.0) {
-            return Err(format!("learning rate {}: between 0 and 1", self.rate));
+            return Err(RecipeError::Value(format!("learning rate {}: between 0 and 1", self.rate)));
         }
         if !(self.whole_dome >= 0.0 && self.finite >= 0.0 && self.whole_dome + self.finite <= 1.0) {
-            return Err(format!(
+            return Err(RecipeError::Value(format!(
                 "shares of {} over the whole hemisphere and {} with a finite set: neither below 0, together at most 1",
                 self.whole_dome, self.finite
-            ));
+            )));
         }
         if !(0.0..1.0).contains(&self.averaging) {
-            return Err(format!("averaging {}: 0 for none, or below 1", self.averaging));
+            return Err(RecipeError::Value(format!("averaging {}: 0 for none, or below 1", self.averaging)));
         }
         if self.tau.is_some_and(|t| !(t > 0.0 && t <= 10.0)) {
-            return Err("τ must lie in (0, 10] radians".into());
+            return Err(RecipeError::Value("τ must lie in (0, 10] radians".into()));
         }
         self.training_solver().map(|_| ())
     }
 
-    fn training_solver(&self) -> Result<Box<dyn TrainingSolver>, String> {
+    fn training_solver(&self) -> Result<Box<dyn TrainingSolver>, RecipeError> {
         match self.solver.as_str() {
             "ls" => Ok(Box::new(LeastSquares::default())),
-            other => Err(format!("no training solver '{other}': choose from ls")),
+            other => Err(RecipeError::Solver(other.into())),
         }
     }
 
@@ -310,7 +361,7 @@ impl Trainer {
     ///
     /// # Errors
     /// [`Recipe::check`].
-    pub fn new(recipe: Recipe) -> Result<Self, String> {
+    pub fn new(recipe: Recipe) -> Result<Self, RecipeError> {
         recipe.check()?;
         let weights = Weights::new(&recipe.config, recipe.seed);
         Ok(Self::starting(weights, recipe))
@@ -321,7 +372,7 @@ impl Trainer {
     ///
     /// # Errors
     /// [`Recipe::check`].
-    pub fn begin_with(weights: Weights, recipe: Recipe) -> Result<Self, String> {
+    pub fn begin_with(weights: Weights, recipe: Recipe) -> Result<Self, RecipeError> {
         let horizon = recipe.config.horizon.max(weights.config.horizon);
         let mut weights = if weights.config.horizon == horizon { weights } else { weights.told(horizon) };
         if recipe.config.grid() == weights.config.grid() {
@@ -352,13 +403,13 @@ impl Trainer {
     /// One update. The number of threads doesn't change the result.
     ///
     /// # Errors
-    /// A loss or gradient that is not finite, an object that can't be seen; the weights are then as they were.
-    pub fn update(&mut self, pool: &dyn Pool, on: &Compute) -> Result<Report, String> {
+    /// [`UpdateError`]; the weights are then as they were.
+    pub fn update(&mut self, pool: &dyn Pool, on: &Compute) -> Result<Report, UpdateError> {
+        let update = self.step + 1;
         let solver = self.recipe.training_solver()?;
         let how = self.recipe.conditions(self.step);
         let drawn: Result<Vec<Drawn>, _> = (0..self.recipe.batch).map(|b| self.draw(pool, b)).collect();
-        let drawn =
-            drawn.map_err(|e| format!("update {}: an object can't be rendered: {e}", self.step + 1))?;
+        let drawn = drawn.map_err(|error| UpdateError::Object { update, error })?;
         let groups: Vec<&[Drawn]> = drawn.chunks(self.recipe.micro_batch).collect();
         let passes = in_parallel(groups.len(), on.threads, |g| {
             let episodes: Vec<Episode> = groups[g]
@@ -381,7 +432,7 @@ impl Trainer {
         }
         let length = clip(&mut gradients, self.recipe.clip);
         if !(loss.is_finite() && length.is_finite()) {
-            return Err(format!("step {}: loss {loss}, gradient {length}: not finite", self.step + 1));
+            return Err(UpdateError::NotFinite { update, loss, gradient: length });
         }
         let rate = self.recipe.rate_at(self.step);
         self.adam.update(&mut self.weights, &gradients, rate, self.recipe.decay);
@@ -551,7 +602,7 @@ mod tests {
         assert!((150..250).contains(&long), "{long}");
         assert!((0..9).all(|step| told.conditions(step).first_loss == told.conditions(step).lights));
         assert_eq!(base.conditions(3).lights, base.lights);
-        assert!(Recipe { lights: 9, ..told }.check().unwrap_err().contains("equal"));
+        assert!(Recipe { lights: 9, ..told }.check().unwrap_err().to_string().contains("equal"));
     }
 
     #[test]
@@ -569,8 +620,8 @@ mod tests {
         assert!(far(t.judged(), &t.weights) < whole && far(t.judged(), &begun) < whole);
         t.validated(3.0);
         assert_eq!(&t.best.as_ref().unwrap().0, t.judged());
-        assert!(Recipe { whole_dome: 0.6, finite: 0.5, ..recipe() }.check().unwrap_err().contains("0.5"));
-        assert!(Recipe { averaging: 1.0, ..recipe() }.check().unwrap_err().contains("averaging"));
+        assert!(Recipe { whole_dome: 0.6, finite: 0.5, ..recipe() }.check().unwrap_err().to_string().contains("0.5"));
+        assert!(Recipe { averaging: 1.0, ..recipe() }.check().unwrap_err().to_string().contains("averaging"));
     }
 
     #[test]

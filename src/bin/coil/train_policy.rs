@@ -199,7 +199,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     } else {
         let recipe = recipe(&args.choices)?;
         match &args.from {
-            None => Trainer::new(recipe).map_err(anyhow::Error::msg)?,
+            None => Trainer::new(recipe)?,
             Some(from) => begin_from(from, recipe)?,
         }
     };
@@ -247,7 +247,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     bar.reset_eta();
     while !trainer.done() {
         let before = Instant::now();
-        let report = trainer.update(&pool, &compute).map_err(anyhow::Error::msg)?;
+        let report = trainer.update(&pool, &compute)?;
         let seconds = Some((before.elapsed().as_secs_f64() * 1e3).round() / 1e3);
         log.write(&Line { report: Some(report), seconds, validation: None, baselines: None })?;
         bar.inc(1);
@@ -366,7 +366,7 @@ fn changed(mut r: Recipe, args: &Choices) -> anyhow::Result<Recipe> {
         }
     }
     if let Some(input) = args.input {
-        r.config = r.config.seeing(input).map_err(anyhow::Error::msg)?;
+        r.config = r.config.seeing(input)?;
     }
     r.config.gating &= args.without != Some(Without::Gate);
     r.config.transformer &= args.without != Some(Without::Transformer);
@@ -459,7 +459,7 @@ fn begin_from(from: &Path, recipe: Recipe) -> anyhow::Result<Trainer> {
     // The folder's name, not where it lies: a recipe is passed on.
     let name = fs::canonicalize(from)?.file_name().map(|name| name.to_string_lossy().into_owned());
     let recipe = Recipe { from: name, ..recipe };
-    Trainer::begin_with(weights, recipe).map_err(anyhow::Error::msg)
+    Ok(Trainer::begin_with(weights, recipe)?)
 }
 
 fn baselines(scenes: &[Box<dyn Scene>], reach: f32, threads: usize) -> Vec<(String, validate::Errors)> {

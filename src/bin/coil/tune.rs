@@ -81,8 +81,8 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
 fn fit_expected(args: &Args, out: &Path) -> anyhow::Result<ExitCode> {
     let seconds = Instant::now();
     let models = args.models.load(&["coil".to_owned()])?;
-    let pixels = expectation::pixels(args.objects, args.size, &models).map_err(anyhow::Error::msg)?;
-    let checks = expectation::checks(args.checks, args.size, &models).map_err(anyhow::Error::msg)?;
+    let pixels = expectation::pixels(args.objects, args.size, &models)?;
+    let checks = expectation::checks(args.checks, args.size, &models)?;
     eprintln!("rendered after {:.0} s", seconds.elapsed().as_secs_f64());
     println!(
         "on {} validation objects seen by the rig, T = 10: mean error, mean expected, objects within 2°, median rank correlation",
@@ -121,7 +121,7 @@ fn fit_expected(args: &Args, out: &Path) -> anyhow::Result<ExitCode> {
 
 /// Prints how far off the estimates of the lamps' nearness are.
 fn print_nearness(args: &Args) -> anyhow::Result<ExitCode> {
-    let all = nearness::estimates(args.objects, args.size).map_err(anyhow::Error::msg)?;
+    let all = nearness::estimates(args.objects, args.size)?;
     println!(
         "nearness (half width over the lamps' distance), {} training objects, root mean square:",
         args.objects
