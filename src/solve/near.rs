@@ -4,7 +4,7 @@
 //! `I = g·(l − κx) / |l − κx|³`, where `g` is albedo times normal, `x` the pixel's place in half widths of the object and `κ` the
 //! *nearness*, the half width in units of the lamps' distance (Papadhimitri and Favaro 2014, with all depths taken for that of the middle). For a known κ this
 //! is as linear in `g` as for distant lamps. κ itself is what explains best how the values deviate from it: by a linear fit over all pixels,
-//! in which functions of the angles alone ([`angles`]) stand for reflectance that isn't Lambert's, and of which what another
+//! in which functions of the angles alone (`angles`) stand for reflectance that isn't Lambert's, and of which what another
 //! normal would explain as well is taken out. Normals are then solved anew, and so on.
 
 use super::{Measurements, SolveError};

@@ -620,7 +620,13 @@ mod tests {
         assert!(far(t.judged(), &t.weights) < whole && far(t.judged(), &begun) < whole);
         t.validated(3.0);
         assert_eq!(&t.best.as_ref().unwrap().0, t.judged());
-        assert!(Recipe { whole_dome: 0.6, finite: 0.5, ..recipe() }.check().unwrap_err().to_string().contains("0.5"));
+        assert!(
+            Recipe { whole_dome: 0.6, finite: 0.5, ..recipe() }
+                .check()
+                .unwrap_err()
+                .to_string()
+                .contains("0.5")
+        );
         assert!(Recipe { averaging: 1.0, ..recipe() }.check().unwrap_err().to_string().contains("averaging"));
     }
 
