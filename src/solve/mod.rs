@@ -148,6 +148,14 @@ pub enum SolveError {
         /// Those of the first image.
         expected: usize,
     },
+    /// There is not one place for each pixel.
+    #[error("{found} places for {expected} pixels: there must be one for each")]
+    Places {
+        /// Number of places.
+        found: usize,
+        /// Number of pixels.
+        expected: usize,
+    },
     /// A solver's model could not be run.
     #[error("{0}")]
     Model(String),

@@ -271,7 +271,7 @@ fn solve(gram: [[f64; COLUMNS]; COLUMNS]) -> Option<([f64; COLUMNS - 1], f64)> {
 /// The nearness κ of the lamps: half width of the object in units of their distance, 0 for distant lamps, and where the pictures don't show it.
 ///
 /// # Errors
-/// As [`Measurements::check`]; [`SolveError::Pixels`] where the places are of another number of pixels.
+/// As [`Measurements::check`]; [`SolveError::Places`] where there is not one place for each pixel.
 pub fn nearness(m: &Measurements, places: &[Vec2]) -> Result<f32, SolveError> {
     let pixels = checked(m, places)?;
     let count = m.lights.len();
@@ -336,7 +336,7 @@ pub fn distant(m: &Measurements, places: &[Vec2], nearness: f32) -> Result<Vec<V
 fn checked(m: &Measurements, places: &[Vec2]) -> Result<usize, SolveError> {
     let pixels = m.check()?;
     if places.len() != pixels {
-        return Err(SolveError::Pixels { image: 0, found: pixels, expected: places.len() });
+        return Err(SolveError::Places { found: places.len(), expected: pixels });
     }
     Ok(pixels)
 }
@@ -420,6 +420,6 @@ mod tests {
         }
         let images = vec![vec![0.5; places.len()]; 9];
         let wrong = nearness(&measurements(&lights, &images), &places[1..]);
-        assert!(matches!(wrong, Err(SolveError::Pixels { .. })));
+        assert!(matches!(wrong, Err(SolveError::Places { .. })));
     }
 }
