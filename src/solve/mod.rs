@@ -210,7 +210,7 @@ pub fn prepare<'a>(
     Ok(Prepared { given, distant, nearness })
 }
 
-/// Whether the solver of this name does, see [`Info::distant_lamps`].
+/// Whether the solver of this name takes pictures as distant lamps would give them, see [`Info::distant_lamps`].
 #[must_use]
 pub fn wants_distant_lamps(solver: &str) -> bool {
     SOLVERS.iter().any(|s| s.name == solver && s.distant_lamps)
