@@ -7,6 +7,8 @@
 pub mod expectation;
 pub mod fit;
 pub mod nearness;
+pub mod neighbourhood;
+pub mod perceptron;
 pub mod tune;
 
 use crate::camera::{Camera, CameraError};
@@ -16,7 +18,7 @@ use crate::render::worlds::{self, Split};
 use crate::render::{Material, Options, RenderError, Scene};
 use crate::rng::Rng;
 use crate::session::SessionError;
-use crate::solve::{SolveError, near};
+use crate::solve::{SolveError, UnknownSolver, near};
 use glam::Vec3;
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
@@ -74,9 +76,12 @@ pub enum PixelsError {
     /// A picture can't be taken.
     #[error(transparent)]
     Camera(#[from] CameraError),
-    /// The lamps' nearness can't be looked for.
+    /// Its pictures can't be solved.
     #[error(transparent)]
     Solve(#[from] SolveError),
+    /// There is no such solver.
+    #[error(transparent)]
+    Solver(#[from] UnknownSolver),
 }
 
 /// An object as cameras see it.

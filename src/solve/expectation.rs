@@ -1,12 +1,13 @@
 //! What error to expect of a pixel's normal: a small network looks at how the values disagree with it.
 //!
-//! For every solver the same [`CUES`] are taken from the pixel's values and the solver's answer, and two layers of
-//! [`WIDTH`] make the expected angular error of them; each solver has weights of its own. They are fitted to rendered
+//! For every solver the same [`CUES`] are taken from the pixel's values and the solver's answer, and a small network
+//! makes the expected angular error of them; each solver has weights of its own. They are fitted to rendered
 //! training objects and synthetic pixels (`coil tune --uncertainty`) with the loss error/e + ln e, which is smallest where e is the mean error
 //! of pixels that look alike: so the mean over an object predicts the object's mean error. `models/expected-error.md`
-//! is the card of the weights.
+//! is the card of the weights. What a pixel's neighbours add to that is [`neighbourhood`]'s.
 
-use super::{Measurements, Solution, SolveError, least_squares};
+use super::perceptron::Perceptron;
+use super::{Measurements, Solution, SolveError, least_squares, neighbourhood};
 use glam::{Mat3, Vec3};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -14,10 +15,6 @@ use std::sync::LazyLock;
 
 /// Number of values that describe a pixel and its normal.
 pub const CUES: usize = 22;
-/// Width of the two layers.
-pub const WIDTH: usize = 24;
-/// Number of weights.
-pub const WEIGHTS: usize = CUES * WIDTH + WIDTH + WIDTH * WIDTH + WIDTH + WIDTH + 1;
 
 /// Values at most this fraction of the brightest are dark, as for the robust solvers.
 const DARK: f32 = 0.05;
@@ -25,8 +22,6 @@ const DARK: f32 = 0.05;
 const SCALE: f32 = 0.05;
 /// Smallest 1 − leverage: a value that nothing else confirms must not make the error infinite.
 const UNCONFIRMED: f32 = 0.25;
-/// Cues beyond this many standard deviations count as this many.
-const REACH: f32 = 4.0;
 
 /// What a solver can add from its own knowledge: the error it expects (radians) and the angle between its answer
 /// and what it began with (radians). Zero where there is none.
@@ -195,84 +190,19 @@ fn weight(value: f32, r: f32) -> f32 {
     if value > DARK { 1.0 / (1.0 + r * r) } else { 1e-3 }
 }
 
-/// The two layers of one solver.
+/// What to expect of one solver.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Judge {
-    /// Mean of each cue over the pixels it was fitted to.
-    pub mean: Vec<f32>,
-    /// Standard deviation of each cue.
-    pub deviation: Vec<f32>,
-    /// First layer (one row of [`WIDTH`] for each cue) and its bias, second layer and its bias, last layer and its bias.
-    pub weights: Vec<f32>,
+    /// Of a pixel by itself: [`CUES`] to the logarithm of the expected error in degrees.
+    pub alone: Perceptron<CUES>,
+    /// Of a pixel among others, see [`neighbourhood`].
+    pub among: Perceptron<{ neighbourhood::CUES }>,
 }
 
-/// One layer's values.
-pub type Row = [f32; WIDTH];
-
-/// What the layers made of a pixel; training goes back through it.
-#[derive(Clone, Copy, Debug)]
-pub struct Layers {
-    /// The cues in standard deviations from their means.
-    pub cues: [f32; CUES],
-    /// After the first layer.
-    pub first: Row,
-    /// After the second layer.
-    pub second: Row,
-    /// Logarithm of the expected error in degrees.
-    pub log: f32,
-}
-
-/// Where the first layer's bias, the second layer, its bias and the last layer begin.
-pub const PARTS: [usize; 4] = {
-    let bias = CUES * WIDTH;
-    let second = bias + WIDTH;
-    let second_bias = second + WIDTH * WIDTH;
-    [bias, second, second_bias, second_bias + WIDTH]
-};
-
-/// x/(1 + |x|): no table, no library, the same on every machine.
-fn soft_sign(x: f32) -> f32 {
-    x / (1.0 + x.abs())
-}
-
-impl Judge {
-    /// Whether all lists have their lengths and all numbers are finite.
-    #[must_use]
-    pub fn is_whole(&self) -> bool {
-        let all = [&self.mean, &self.deviation, &self.weights];
-        all.map(Vec::len) == [CUES, CUES, WEIGHTS] && all.into_iter().flatten().all(|v| v.is_finite())
-    }
-
-    /// Through all layers.
-    #[must_use]
-    pub fn layers(&self, cues: &[f32; CUES]) -> Layers {
-        let mut standard = [0.0; CUES];
-        for (c, s) in standard.iter_mut().enumerate() {
-            *s = ((cues[c] - self.mean[c]) / self.deviation[c]).clamp(-REACH, REACH);
-        }
-        let [bias, second, second_bias, last] = PARTS;
-        let w = self.weights.as_slice();
-        let first = layer(&standard, &w[..bias], &w[bias..second]);
-        let second = layer(&first, &w[second..second_bias], &w[second_bias..last]);
-        let log = w[last + WIDTH] + second.iter().zip(&w[last..]).map(|(a, b)| a * b).sum::<f32>();
-        Layers { cues: standard, first, second, log }
-    }
-
-    /// Expected angular error in degrees, at most 90.
-    #[must_use]
-    pub fn degrees(&self, cues: &[f32; CUES]) -> f32 {
-        libm::expf(self.layers(cues).log.clamp(-4.0, 4.5)).min(90.0)
-    }
-}
-
-fn layer(inputs: &[f32], weights: &[f32], bias: &[f32]) -> Row {
-    let mut sum: Row = std::array::from_fn(|i| bias[i]);
-    for (&input, row) in inputs.iter().zip(weights.chunks_exact(WIDTH)) {
-        for (s, &w) in sum.iter_mut().zip(row) {
-            *s += input * w;
-        }
-    }
-    sum.map(soft_sign)
+/// The expected angular error, degrees, at most 90, that a network's output stands for.
+#[must_use]
+pub fn degrees(output: f32) -> f32 {
+    libm::expf(output.clamp(-4.0, 4.5)).min(90.0)
 }
 
 /// The judges that come with the crate, by solver.
@@ -280,7 +210,7 @@ static SHIPPED: LazyLock<BTreeMap<String, Judge>> = LazyLock::new(|| {
     let judges: BTreeMap<String, Judge> =
         serde_json::from_str(include_str!("../../models/expected-error.json"))
             .expect("the committed file is valid");
-    assert!(judges.values().all(Judge::is_whole), "the committed file is whole");
+    assert!(judges.values().all(|j| j.alone.is_whole() && j.among.is_whole()), "the committed file is whole");
     judges
 });
 
@@ -293,11 +223,29 @@ pub fn expected(
     measurements: &Measurements,
     solution: &Solution,
 ) -> Result<Vec<f32>, SolveError> {
-    let judge = SHIPPED
-        .get(solver)
-        .ok_or_else(|| SolveError::Model(format!("no expected errors for solver '{solver}'")))?;
-    let degrees = |cues: Option<[f32; CUES]>| cues.map_or(90.0, |cues| judge.degrees(&cues));
+    expected_by(&judge(solver)?.alone, measurements, solution)
+}
+
+/// The same by a network of the caller's.
+///
+/// # Errors
+/// [`SolveError`] where the measurements don't fit together.
+pub fn expected_by(
+    network: &Perceptron<CUES>,
+    measurements: &Measurements,
+    solution: &Solution,
+) -> Result<Vec<f32>, SolveError> {
+    let degrees = |cues: Option<[f32; CUES]>| cues.map_or(90.0, |cues| degrees(network.output(&cues)));
     Ok(cues(measurements, solution)?.map(degrees).collect())
+}
+
+/// The judge that comes with the crate for the solver of this name.
+///
+/// # Errors
+/// [`SolveError::Model`] where there is none.
+pub fn judge(solver: &str) -> Result<&'static Judge, SolveError> {
+    let none = || SolveError::Model(format!("no expected errors for solver '{solver}'"));
+    SHIPPED.get(solver).ok_or_else(none)
 }
 
 /// The cues of every pixel of `solution`, `None` for black ones.

@@ -3,26 +3,27 @@
 //! A pixel off the object's middle sees a near lamp from elsewhere than the middle does, and one on its own side brighter:
 //! `I = g·(l − κx) / |l − κx|³`, where `g` is albedo times normal, `x` the pixel's place in half widths of the object and `κ` the
 //! *nearness*, the half width in units of the lamps' distance (Papadhimitri and Favaro 2014, with all depths taken for that of the middle). For a known κ this
-//! is as linear in `g` as for distant lamps. κ itself is what explains best how the values deviate from it: by a linear fit over all pixels,
-//! in which functions of the angles alone (`angles`) stand for reflectance that isn't Lambert's, and of which what another
-//! normal would explain as well is taken out. Normals are then solved anew, and so on.
+//! is as linear in `g` as for distant lamps. How the values deviate from it is explained by a linear fit over all pixels: by more nearness, and
+//! by functions of the angles alone (`angles`), which stand for reflectance that isn't Lambert's; what another
+//! normal would explain as well is taken out. Nearness and reflectance look alike (on a sphere nearly the same), so κ is not just the
+//! first coefficient: a small network that has seen many rendered objects knows which reflectances there are, and makes κ
+//! of all coefficients, at two assumed nearnesses (`models/nearness.md`).
 
+use super::perceptron::Perceptron;
 use super::{Measurements, SolveError};
 use crate::stack::Mask;
 use glam::{Mat3, Vec2, Vec3};
+use std::sync::LazyLock;
 
 /// Fewer lights leave nothing of which the nearness could be seen.
 pub const LEAST_LIGHTS: usize = 5;
 
 /// Pixels that it is estimated on.
 const PIXELS: usize = 1000;
-/// Rounds of normals and nearness.
-const ROUNDS: usize = 5;
-/// What a round finds is a part of what is left, as the normals have taken in some of it: so much is added at first, and at most.
-const STRIDE: f32 = 1.5;
-const LONGEST: f32 = 6.0;
+/// Nearnesses that are assumed, to see what is left beside them.
+const ASSUMED: [f32; 2] = [0.0, 0.06];
 /// Between these the estimate stays.
-const RANGE: [f32; 2] = [-0.02, 0.12];
+const RANGE: [f32; 2] = [0.0, 0.12];
 /// Iterations of a pixel's robust fit.
 const ITERATIONS: usize = 12;
 /// Residual at which a value counts half, in units of the albedo.
@@ -32,10 +33,6 @@ const DARK: f32 = 0.05;
 const GRAZING: f32 = 0.1;
 /// Weight of shadows and of what the sensor cut off.
 const UNTRUSTED: f32 = 1e-3;
-/// How large a nearness is expected to be, and how many times its standard error an estimate is off (root mean square; the standard error
-/// knows nothing of reflectance that looks like nearness). From training objects: `coil tune --nearness`.
-const EXPECTED: f32 = 0.05;
-const DOUBT: f32 = 7.0;
 /// How much the direction of light may change a value when its nearness is taken out.
 const MOST_TURNED: f32 = 2.0;
 
@@ -44,6 +41,21 @@ const ANGLES: usize = 8;
 /// These, the nearness, and the values.
 const COLUMNS: usize = ANGLES + 2;
 type Row = [f32; COLUMNS];
+
+/// What one fit says: its coefficients, the logarithms of the first one's standard error and of the noise.
+const SAID: usize = COLUMNS - 1 + 2;
+/// Number of values that the nearness is made of: what the fits say, and the logarithm of the number of lights.
+pub const SIGNS: usize = ASSUMED.len() * SAID + 1;
+/// The nearness that the network's output 1 stands for.
+pub const UNIT: f32 = 0.05;
+
+/// The weights that come with the crate.
+static SHIPPED: LazyLock<Perceptron<SIGNS>> = LazyLock::new(|| {
+    let network: Perceptron<SIGNS> = serde_json::from_str(include_str!("../../models/nearness.json"))
+        .expect("the committed file is valid");
+    assert!(network.is_whole(), "the committed file is whole");
+    network
+});
 
 /// Where each mask pixel is: from the middle of the mask's bounding box, in halves of its longer side, x right and y up.
 #[must_use]
@@ -186,10 +198,10 @@ fn angles(cos: f32, half: f32, height: f32) -> [f32; ANGLES] {
     [cos * cos, cos * cos * cos, cos * cos * height, cos * h4, cos * h8, h16, h64, h64 * h64 * h64 * h64]
 }
 
-/// Least squares of the last column by the others, robust over the rows: the first coefficient and its standard error.
-fn coefficient(rows: &[(Row, f32)]) -> Option<(f32, f32)> {
+/// Least squares of the last column by the others, robust over the rows; `None` where they don't determine it.
+fn fit(rows: &[(Row, f32)]) -> Option<[f32; SAID]> {
     let mut weights: Vec<f32> = rows.iter().map(|r| r.1).collect();
-    let mut found = None;
+    let mut said = None;
     for _ in 0..4 {
         let mut gram = [[0.0f64; COLUMNS]; COLUMNS];
         for ((row, _), &w) in rows.iter().zip(&weights) {
@@ -221,10 +233,19 @@ fn coefficient(rows: &[(Row, f32)]) -> Option<(f32, f32)> {
             squares += f64::from(*w) * r * r;
             total += f64::from(*w);
         }
-        let error = libm::sqrt((variance * squares / total.max(1e-12)).max(0.0));
-        found = Some((beta[0] as f32, error as f32));
+        let noise = squares / total.max(1e-12);
+        let mut all = [0.0; SAID];
+        all.iter_mut().zip(beta).for_each(|(to, b)| *to = b as f32);
+        all[SAID - 2] = 0.5 * log(variance * noise);
+        all[SAID - 1] = 0.5 * log(noise);
+        said = Some(all);
     }
-    found
+    said
+}
+
+/// Natural logarithm, of 1e−12 where `value` is below.
+fn log(value: f64) -> f32 {
+    libm::log(value.max(1e-12)) as f32
 }
 
 /// Solves the normal equations in the upper triangle of `gram` (the right side in the last column) by Cholesky's method; gives the coefficients and
@@ -268,44 +289,46 @@ fn solve(gram: [[f64; COLUMNS]; COLUMNS]) -> Option<([f64; COLUMNS - 1], f64)> {
     beta.iter().all(|b| b.is_finite()).then_some((beta, unit[0]))
 }
 
+/// What the pictures show of the nearness: what [`nearness`] is made of. `None` where they show nothing of it.
+///
+/// # Errors
+/// As [`nearness`].
+pub fn signs(m: &Measurements, places: &[Vec2]) -> Result<Option<[f32; SIGNS]>, SolveError> {
+    let pixels = checked(m, places)?;
+    let count = m.lights.len();
+    if count < LEAST_LIGHTS {
+        return Ok(None);
+    }
+    let step = pixels.div_ceil(PIXELS).max(1);
+    let mut pixel = Pixel::new(count);
+    let mut rows = Vec::with_capacity(pixels.div_ceil(step) * count);
+    let mut signs = [0.0; SIGNS];
+    for (said, assumed) in signs.chunks_exact_mut(SAID).zip(ASSUMED) {
+        rows.clear();
+        for p in (0..pixels).step_by(step) {
+            if pixel.look(m, p, places[p], assumed) {
+                pixel.rows(places[p], &mut rows);
+            }
+        }
+        let Some(fit) = fit(&rows) else { return Ok(None) };
+        said.copy_from_slice(&fit);
+    }
+    signs[SIGNS - 1] = log(count as f64);
+    Ok(Some(signs))
+}
+
 /// The nearness κ of the lamps: half width of the object in units of their distance, 0 for distant lamps, and where the pictures don't show it.
 ///
 /// # Errors
 /// As [`Measurements::check`]; [`SolveError::Places`] where there is not one place for each pixel.
 pub fn nearness(m: &Measurements, places: &[Vec2]) -> Result<f32, SolveError> {
-    let pixels = checked(m, places)?;
-    let count = m.lights.len();
-    if count < LEAST_LIGHTS {
-        return Ok(0.0);
-    }
-    let step = pixels.div_ceil(PIXELS).max(1);
-    let mut pixel = Pixel::new(count);
-    let mut rows = Vec::with_capacity(pixels.div_ceil(step) * count);
-    let (mut nearness, mut error) = (0.0f32, f32::INFINITY);
-    let mut before: Option<(f32, f32)> = None;
-    for _ in 0..ROUNDS {
-        rows.clear();
-        for p in (0..pixels).step_by(step) {
-            if pixel.look(m, p, places[p], nearness) {
-                pixel.rows(places[p], &mut rows);
-            }
-        }
-        let Some((more, of_it)) = coefficient(&rows) else { return Ok(0.0) };
-        // The secant through the last two, where it leads on.
-        let stride = before.map_or(STRIDE, |(last, missed)| (nearness - last) / (missed - more));
-        let stride = if (1.0..=LONGEST).contains(&stride) { stride } else { STRIDE };
-        before = Some((nearness, more));
-        nearness = (nearness + stride * more).clamp(RANGE[0], RANGE[1]);
-        error = stride * of_it;
-    }
-    Ok(believed(nearness, error))
+    Ok(signs(m, places)?.map_or(0.0, |signs| judged(&SHIPPED, &signs)))
 }
 
-/// What to believe of an estimate with this standard error.
-fn believed(estimate: f32, error: f32) -> f32 {
-    let doubt = DOUBT * error;
-    let sure = EXPECTED * EXPECTED / (EXPECTED * EXPECTED + doubt * doubt);
-    (sure * estimate).max(0.0)
+/// The nearness that a network makes of the signs.
+#[must_use]
+pub fn judged(network: &Perceptron<SIGNS>, signs: &[f32; SIGNS]) -> f32 {
+    (UNIT * network.output(signs)).clamp(RANGE[0], RANGE[1])
 }
 
 /// The pictures that lamps of nearness 0 would have given.

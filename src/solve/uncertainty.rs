@@ -1,7 +1,9 @@
 //! How far off a normal probably is: per pixel in degrees ([`super::expectation`]), and for the whole object.
 
 use super::tiles::Piece;
-use super::{Measurements, Solution, SolveError, Solver, Validity, expectation, near, prepare};
+use super::{
+    Measurements, Solution, SolveError, Solver, Validity, expectation, near, neighbourhood, prepare,
+};
 use crate::stack::Mask;
 use glam::Vec2;
 
@@ -17,6 +19,25 @@ pub fn complete(
     if solution.uncertainty.is_none() {
         solution.uncertainty = Some(expectation::expected(solver, measurements, solution)?);
     }
+    Ok(())
+}
+
+/// Shares the expected errors of a whole object, of which [`complete`] has looked at each pixel by itself, out anew: with what their neighbours
+/// tell ([`neighbourhood`]). The predicted MAE stays.
+///
+/// # Errors
+/// [`SolveError::Places`] where the solution isn't one of all pixels of `mask`, and [`SolveError::Model`] for an unknown solver.
+pub fn compare(solver: &str, mask: &Mask, solution: &mut Solution) -> Result<(), SolveError> {
+    let network = &expectation::judge(solver)?.among;
+    let Some(degrees) = &solution.uncertainty else { return Ok(()) };
+    let Solution { normals, albedo, .. } = &*solution;
+    for found in [normals.len(), albedo.len(), degrees.len()] {
+        if found != mask.len() {
+            return Err(SolveError::Places { found, expected: mask.len() });
+        }
+    }
+    let found = neighbourhood::Found { normals, albedo, degrees };
+    solution.uncertainty = Some(neighbourhood::shared_out(network, mask, &found));
     Ok(())
 }
 

@@ -164,6 +164,7 @@ impl Observations {
         let measurements = ready.measurements();
         let mut solution = solver.solve(&measurements).map_err(fail)?;
         uncertainty::complete(solver.name(), &measurements, &mut solution).map_err(fail)?;
+        uncertainty::compare(solver.name(), &self.of.stack.mask, &mut solution).map_err(fail)?;
         let errors = self.of.stack.truth.as_ref().map(|truth| error::error_map(&solution.normals, truth));
         Ok(Solution::of(&self.of, solution, errors, ready.nearness))
     }

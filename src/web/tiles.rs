@@ -21,6 +21,7 @@ pub struct Tiles {
     of: Rc<Prepared>,
     seen: Rc<Vec<Observation>>,
     assembly: Assembly,
+    solver: String,
     /// Of the lamps, taken out of the values; see [`solve::nearness`].
     nearness: f32,
 }
@@ -71,7 +72,8 @@ impl Tiles {
         pictures.check().map_err(fail)?;
         let nearness = solve::nearness(solver, &pictures, &of.places).map_err(fail)?;
         let assembly = Assembly::new(&of.stack.mask);
-        Ok(Self { of: Rc::clone(of), seen: Rc::clone(seen), assembly, nearness })
+        let solver = solver.to_owned();
+        Ok(Self { of: Rc::clone(of), seen: Rc::clone(seen), assembly, solver, nearness })
     }
 }
 
@@ -147,11 +149,15 @@ impl Tiles {
         self.assembly.put(first, &part).map_err(fail)
     }
 
-    /// The solution: each pixel its own where all levels are solved, before that the next solved one's above and left.
-    #[must_use]
-    pub fn solution(&self) -> Solution {
-        let shown = self.assembly.shown(&self.of.stack.mask);
-        let solution = self.assembly.solution(&shown);
+    /// The solution: each pixel its own where all levels are solved, before that the next solved one's above and left. Once it is whole, its
+    /// expected errors are compared ([`uncertainty::compare`]).
+    pub fn solution(&self) -> Result<Solution, JsError> {
+        let mask = &self.of.stack.mask;
+        let shown = self.assembly.shown(mask);
+        let mut solution = self.assembly.solution(&shown);
+        if self.assembly.done() == self.assembly.total() {
+            uncertainty::compare(&self.solver, mask, &mut solution).map_err(fail)?;
+        }
         let errors = self.of.stack.truth.as_ref().map(|truth| {
             // A pixel shows another's error with that one's normal: its own would count the coarseness.
             let map = error::error_map(&self.assembly.solved().normals, truth);
@@ -159,7 +165,7 @@ impl Tiles {
             let mae = degrees.iter().map(|&d| f64::from(d)).sum::<f64>() / degrees.len().max(1) as f64;
             error::ErrorMap { degrees, mae, unknown: map.unknown }
         });
-        Solution::of(&self.of, solution, errors, self.nearness)
+        Ok(Solution::of(&self.of, solution, errors, self.nearness))
     }
 }
 

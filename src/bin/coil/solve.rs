@@ -155,6 +155,7 @@ fn one(
     let solved = begun.elapsed().as_secs_f64();
     let begun = Instant::now();
     uncertainty::complete(solver.name(), &measurements, &mut solution)?;
+    uncertainty::compare(solver.name(), subject.mask(), &mut solution)?;
     let seconds = (solved, begun.elapsed().as_secs_f64());
     let truth = subject.truth().map(|t| error::error_map(&solution.normals, t));
     let expected = uncertainty::predicted_mae(&solution).unwrap_or(f32::NAN);

@@ -3,9 +3,10 @@
 use crate::{models, output};
 use coil_ps::eval::statistics::mean;
 use coil_ps::pixels::tune::{Score, bench, score};
-use coil_ps::pixels::{Generator, expectation, nearness};
+use coil_ps::pixels::{Generator, expectation, nearness, neighbourhood};
 use coil_ps::render::worlds::Split;
-use coil_ps::solve::{self, Irls, Loss, Solver, SparseBayes, Thresholds, Trimmed};
+use coil_ps::solve::expectation::Judge;
+use coil_ps::solve::{self, Irls, Loss, Solver, SparseBayes, Thresholds, Trimmed, near};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -25,12 +26,12 @@ pub struct Args {
     /// Instead fit what errors to expect of every solver, and write the weights to FILE (models/expected-error.json).
     #[arg(long, value_name = "FILE")]
     uncertainty: Option<PathBuf>,
-    /// Instead print how well the lamps' nearness is seen in the pictures of rendered objects.
-    #[arg(long, conflicts_with = "uncertainty")]
-    nearness: bool,
+    /// Instead fit what makes the lamps' nearness of the pictures, and write the weights to FILE (models/nearness.json).
+    #[arg(long, value_name = "FILE", conflicts_with = "uncertainty")]
+    nearness: Option<PathBuf>,
     #[command(flatten)]
     models: models::Folder,
-    /// Rendered objects that this is fitted to, or printed of.
+    /// Rendered objects that this is fitted to.
     #[arg(long, default_value_t = 800, value_parser = output::at_least_one())]
     objects: usize,
     /// Rendered validation objects that it is looked at on.
@@ -48,8 +49,8 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     if let Some(out) = &args.uncertainty {
         return fit_expected(&args, out);
     }
-    if args.nearness {
-        return print_nearness(&args);
+    if let Some(out) = &args.nearness {
+        return fit_nearness(&args, out);
     }
     let generator = Generator::new(Split::Train);
     let benches: Vec<_> = LIGHTS.iter().map(|&t| bench(&generator, args.seed, t, args.sets, 64)).collect();
@@ -88,27 +89,24 @@ fn fit_expected(args: &Args, out: &Path) -> anyhow::Result<ExitCode> {
         "on {} validation objects seen by the rig, T = 10: mean error, mean expected, objects within 2°, median rank correlation",
         args.checks
     );
-    let fitted: Vec<anyhow::Result<_>> = solve::SOLVERS
-        .par_iter()
-        .map(|&solve::Info { name, .. }| {
-            let solver = solve::by_name(name)?;
-            let judge = expectation::fit(&expectation::samples(&*solver, pixels.of(name))?, args.seed);
-            let mut line = format!("{name:8}");
-            for (lights, objects) in &checks {
-                let c = expectation::check(&*solver, &judge, objects.of(name))?;
-                line += &format!(
-                    "  {lights} {:5.2} {:5.2} {:3.0} % {:.2}",
-                    c.mean,
-                    c.expected,
-                    100.0 * c.within,
-                    c.rank
-                );
-            }
-            println!("{line}");
-            Ok((name, judge))
-        })
-        .collect();
-    let judges = fitted.into_iter().collect::<anyhow::Result<BTreeMap<_, _>>>()?;
+    let alone = in_parallel(|name| {
+        Ok(expectation::fit(&expectation::samples(&*solve::by_name(name)?, pixels.of(name))?, args.seed))
+    })?;
+    drop(pixels);
+    eprintln!("pixels by themselves fitted after {:.0} s", seconds.elapsed().as_secs_f64());
+    let neighbours = neighbourhood::samples(args.objects.div_ceil(2), &alone, &models)?;
+    eprintln!("their neighbours seen after {:.0} s", seconds.elapsed().as_secs_f64());
+    let judges = in_parallel(|name| {
+        let among = neighbourhood::network(&neighbours[name], args.seed);
+        let judge = Judge { alone: alone[name].clone(), among };
+        let mut line = format!("{name:8}");
+        for (lights, c) in expectation::check(&*solve::by_name(name)?, &judge, &checks)? {
+            let within = 100.0 * c.within;
+            line += &format!("  {lights} {:5.2} {:5.2} {within:3.0} % {:.2}", c.mean, c.expected, c.rank);
+        }
+        println!("{line}");
+        Ok(judge)
+    })?;
     // A line a solver: readable differences, and no more bytes than needed in the page.
     let lines: Vec<String> = judges
         .iter()
@@ -119,25 +117,35 @@ fn fit_expected(args: &Args, out: &Path) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Prints how far off the estimates of the lamps' nearness are.
-fn print_nearness(args: &Args) -> anyhow::Result<ExitCode> {
-    let all = nearness::estimates(args.objects, args.size)?;
+/// Something of every solver.
+fn in_parallel<T: Send>(
+    of: impl Fn(&'static str) -> anyhow::Result<T> + Sync,
+) -> anyhow::Result<BTreeMap<&'static str, T>> {
+    solve::SOLVERS.par_iter().map(|s| Ok((s.name, of(s.name)?))).collect()
+}
+
+/// Fits what makes the lamps' nearness of what is seen, writes it, and prints how far off it is on objects it was not fitted to.
+fn fit_nearness(args: &Args, out: &Path) -> anyhow::Result<ExitCode> {
+    let network = nearness::network(&nearness::samples(Split::Train, args.objects, args.size)?, args.seed);
+    output::write(out, format!("{}\n", serde_json::to_string(&network)?).as_bytes())?;
+    let checks = nearness::samples(Split::Validation, args.checks, args.size)?;
     println!(
-        "nearness (half width over the lamps' distance), {} training objects, root mean square:",
-        args.objects
+        "nearness (half width over the lamps' distance), {} validation objects, root mean square:",
+        args.checks
     );
-    for (least, most) in [(5, 8), (9, 14), (15, 24)] {
-        let some: Vec<_> = all.iter().filter(|e| (least..=most).contains(&e.lights)).collect();
-        let square = |f: &dyn Fn(&nearness::Estimate) -> f32| {
-            let squares: Vec<f64> = some.iter().map(|e| f64::from(f(e)).powi(2)).collect();
+    for (least, most) in [(5, 8), (9, 14), (15, 24), (25, 100)] {
+        let some: Vec<_> = checks.iter().filter(|s| (least..=most).contains(&s.lights)).collect();
+        let found = |s: &nearness::Sample| near::judged(&network, &s.signs);
+        let root_mean_square = |of: &dyn Fn(&nearness::Sample) -> f32| {
+            let squares: Vec<f64> = some.iter().map(|s| f64::from(of(s)).powi(2)).collect();
             mean(&squares).sqrt()
         };
-        let distant: Vec<f64> = some.iter().filter(|e| e.truth == 0.0).map(|e| f64::from(e.found)).collect();
+        let distant: Vec<f64> = some.iter().filter(|s| s.truth == 0.0).map(|s| f64::from(found(s))).collect();
         println!(
-            "  {least:2} to {most:2} lights ({:4} sets): {:.3} is {:.3} off; distant lamps are taken for {:.4} in the mean",
+            "  {least:2} to {most:3} lights ({:4} sets): {:.3} is {:.4} off; distant lamps are taken for {:.4} in the mean",
             some.len(),
-            square(&|e| e.truth),
-            square(&|e| e.found - e.truth),
+            root_mean_square(&|s| s.truth),
+            root_mean_square(&|s| found(s) - s.truth),
             mean(&distant)
         );
     }
