@@ -338,7 +338,7 @@ pub fn check(
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::solve::expectation::degrees;
 
@@ -361,7 +361,7 @@ mod tests {
     }
 
     /// Stands for the learned planner.
-    struct Ring;
+    pub struct Ring;
 
     impl Learned for Ring {
         fn planner(&self, name: &str, _: Vec3) -> Option<Box<dyn planner::Planner>> {

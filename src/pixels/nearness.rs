@@ -25,7 +25,7 @@ pub struct Sample {
 }
 
 /// Share of the objects under distant lamps, and the nearest of the others.
-const DISTANT: f32 = 0.5;
+const DISTANT: f32 = 0.25;
 const NEAREST: f32 = 0.1;
 /// Every so many objects are also seen under many lights.
 const MANY_OF: usize = 4;
@@ -83,4 +83,23 @@ pub fn network(samples: &[Sample], seed: u64) -> Perceptron<SIGNS> {
     let groups: Vec<_> = samples.chunks(16).map(group).collect();
     let recipe = Recipe { seed, passes: 60, groups: 4, rate: 3e-3, beginning: 0.5 };
     fit(&groups, &recipe, |outputs, truth| outputs.iter().zip(truth).map(|(o, t)| o - t).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nearness_is_learned_from_rendered_objects() {
+        let seen = samples(Split::Train, 16, 24).unwrap();
+        assert_eq!(seen, samples(Split::Train, 16, 24).unwrap(), "the same seed, the same objects");
+        assert!(seen.iter().any(|s| s.truth == 0.0) && seen.iter().any(|s| s.truth > 0.05));
+        // Few objects, seen often: enough for some hundred steps.
+        let network = network(&seen.repeat(20), 1);
+        let off = |found: &dyn Fn(&Sample) -> f32| -> f32 {
+            seen.iter().map(|s| (found(s) - s.truth).powi(2)).sum::<f32>() / seen.len() as f32
+        };
+        let mean = seen.iter().map(|s| s.truth).sum::<f32>() / seen.len() as f32;
+        assert!(off(&|s| near::judged(&network, &s.signs)) < 0.7 * off(&|_| mean));
+    }
 }

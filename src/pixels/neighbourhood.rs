@@ -102,8 +102,28 @@ fn loss(outputs: &[f32], errors: &[f32]) -> Vec<f32> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::expectation::tests::Ring;
     use super::super::perceptron::assert_gradient;
+    use super::super::tune::rank_correlation;
     use super::*;
+
+    #[test]
+    fn whole_objects_are_seen_and_learned_from() {
+        let alone = expectation::judge("ls").unwrap().alone.clone();
+        let alone = Alone::from([("ls", alone)]);
+        let groups = samples(2, &alone, &Ring).unwrap().remove("ls").unwrap();
+        assert_eq!(groups.len(), 2 * 5);
+        assert!(groups.iter().all(|g| g.inputs.len() == PIXELS && g.truth.len() == PIXELS));
+        let network = network(&groups, 1);
+        assert!(network.is_whole());
+        // On what it was fitted to it must tell good from bad.
+        let rank = |g: &Group<CUES>| {
+            let outputs: Vec<f32> = g.inputs.iter().map(|i| network.output(i)).collect();
+            rank_correlation(&outputs, &g.truth)
+        };
+        let mean = groups.iter().map(rank).sum::<f64>() / groups.len() as f64;
+        assert!(mean > 0.5, "{mean}");
+    }
 
     #[test]
     fn gradient_is_that_of_the_loss() {

@@ -122,3 +122,31 @@ pub fn coverage(solution: &Solution) -> f32 {
     let valid = solution.validity.iter().filter(|&&v| v == Validity::Valid).count();
     valid as f32 / solution.validity.len().max(1) as f32
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec3;
+
+    #[test]
+    fn only_whole_objects_are_compared() {
+        let solution = Solution {
+            normals: vec![Vec3::Z; 12],
+            albedo: vec![1.0; 12],
+            validity: vec![Validity::Valid; 12],
+            uncertainty: Some(vec![2.0; 12]),
+            own: Vec::new(),
+        };
+        let [fits, other] = [(4, 3), (4, 4)].map(|(w, h)| Mask::full(w, h).unwrap());
+        let mut whole = solution.clone();
+        compare("ls", &fits, &mut whole).unwrap();
+        assert!((predicted_mae(&whole).unwrap() - 2.0).abs() < 1e-4);
+        let wrong = compare("ls", &other, &mut solution.clone());
+        assert_eq!(wrong, Err(SolveError::Places { found: 12, expected: 16 }));
+        assert!(matches!(compare("lz", &fits, &mut solution.clone()), Err(SolveError::Model(_))));
+        // Without expected errors there is nothing to share out.
+        let mut bare = Solution { uncertainty: None, ..solution };
+        compare("ls", &fits, &mut bare).unwrap();
+        assert_eq!(bare.uncertainty, None);
+    }
+}
