@@ -99,7 +99,8 @@ pub fn shared_out(network: &Perceptron<CUES>, mask: &Mask, found: &Found) -> Vec
     shares.into_iter().map(|share| (unit * share).min(90.0)).collect()
 }
 
-fn mean(values: &[f32]) -> f32 {
+/// Mean, 0 of nothing.
+pub(super) fn mean(values: &[f32]) -> f32 {
     (values.iter().map(|&v| f64::from(v)).sum::<f64>() / values.len().max(1) as f64) as f32
 }
 

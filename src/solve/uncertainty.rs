@@ -46,8 +46,7 @@ pub fn compare(solver: &str, mask: &Mask, solution: &mut Solution) -> Result<(),
 #[must_use]
 pub fn predicted_mae(solution: &Solution) -> Option<f32> {
     let degrees = solution.uncertainty.as_ref()?;
-    let sum: f64 = degrees.iter().map(|&d| f64::from(d)).sum();
-    (!degrees.is_empty()).then(|| (sum / degrees.len() as f64) as f32)
+    (!degrees.is_empty()).then(|| neighbourhood::mean(degrees))
 }
 
 /// So many pixels are enough to predict a mean over the object after every picture.
