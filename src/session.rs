@@ -4,7 +4,7 @@
 
 use crate::camera::{CameraError, Domain, Observation, check_direction};
 use crate::planner::{PlanError, Planner, View};
-use crate::solve::{self, Measurements, Solution, SolveError, Solver, near};
+use crate::solve::{self, Measurements, Solution, SolveError, Solver};
 use crate::stack::Mask;
 use glam::Vec3;
 
@@ -129,8 +129,7 @@ impl<'a> Session<'a> {
     /// [`SessionError::Solve`].
     pub fn solve(&self, solver: &dyn Solver, count: usize) -> Result<Solution, SessionError> {
         let seen = &self.seen[..count.min(self.seen.len())];
-        let pictures = solve::prepare(solver.name(), Measurements::of(seen), &near::places(&self.mask))?;
-        Ok(solver.solve(&pictures.measurements())?)
+        Ok(solve::whole(solver, Measurements::of(seen), &self.mask, false)?.solution)
     }
 }
 

@@ -100,7 +100,7 @@
  * @property {{ body: { settings: Settings }, reply: Report, progress: { done: number, total: number, what?: string, step: RunStep | null, late?: LateError, row: ResultRow[] } }} run
  * @property {{ body: { asked: Direction[], lookup: string, solver: string, scale: number }, reply: StepView, progress: StepView }} view
  * @property {{ body: { planner: string, lights: number }, reply: Insight | null, progress: never }} insight
- * @property {{ body: { asked: Direction[], lookup: string }, reply: number | null, progress: never }} score
+ * @property {{ body: { asked: Direction[], lookup: string, solvers: string[] }, reply: (number | null)[], progress: never }} score
  * @property {{ body: { light: Direction }, reply: Picture | null, progress: never }} relight
  * @property {{ body: { yaw: number, tilt: number, size: number }, reply: Picture | null, progress: never }} surface
  * the surface is integrated first, where that was not done

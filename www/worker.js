@@ -6,6 +6,7 @@ import { told } from "./errors.js";
 import { Helpers } from "./helpers.js";
 import { readObject } from "./reader.js";
 import { LEARNED, learnedPlanners, loadFull } from "./learned.js";
+import { IN_PIECES } from "./solvers.js";
 import { buffers, needed, optional, take } from "./wire.js";
 
 /** @typedef {import("./messages.js").Calls} Calls */
@@ -24,9 +25,6 @@ const RENDERED = 160;
 const UNSEEDED = ["sphere", "bowl"];
 /** A computation that can be cut pauses so often. */
 const SLICE_MS = 30;
-
-/** The solver whose normals take seconds: they are made in pieces by the helpers. */
-const IN_PIECES = "pixel";
 
 /** Compiled once; helpers get it by message. */
 const compiled = WebAssembly.compileStreaming(fetch(new URL("pkg/core/coil_ps_bg.wasm", import.meta.url)));
@@ -101,8 +99,9 @@ const answers = {
     const plain = settings.planners.filter(name => !(name in LEARNED));
     const whole = settings.planners.length;
     // What can't be fetched takes its own rows with it, and no others.
-    const unsolved = settings.solvers.includes(IN_PIECES) ? await failure(helpers.network(), signal) : null;
-    const solvers = settings.solvers.filter(name => !unsolved || name !== IN_PIECES);
+    const slow = settings.solvers.filter(name => IN_PIECES.includes(name));
+    const unsolved = slow.length ? await failure(helpers.network(), signal) : null;
+    const solvers = settings.solvers.filter(name => !unsolved || !slow.includes(name));
     if (unsolved && !solvers.length) throw new Error(unsolved);
     /** @type {import("./messages.js").Report | null} */
     let report = null;
@@ -115,14 +114,14 @@ const answers = {
       report = { ...late, results: [...(report?.results ?? []), ...rows] };
     }
     const { results, ...rest } = needed(report, "no planner was chosen");
-    return { ...rest, settings, results: unsolved ? results.flatMap(row => withFailed(row, solvers, unsolved)) : results };
+    return { ...rest, settings, results: unsolved ? results.flatMap(row => withFailed(row, solvers, slow, unsolved)) : results };
   },
 
   // A run is nothing but the directions it asked for: its pictures can be had again at any step.
   async view({ asked, lookup, solver, scale }, { signal, progress }) {
     const stack = needed(state.stack, "open an object first");
     const observations = stack.observe(new Float32Array(asked.flat()), lookup);
-    const quick = solver === IN_PIECES ? "ls" : solver;
+    const quick = IN_PIECES.includes(solver) ? "ls" : solver;
     let solution = null;
     try {
       if (asked.length >= 3) solution = observations.solve(quick);
@@ -132,7 +131,7 @@ const answers = {
     }
     if (quick === solver || !solution) return show(observations, solution, scale, 1);
     solution.free();
-    const tiles = observations.tiles(IN_PIECES);
+    const tiles = observations.tiles(solver);
     let shown = false;
     const showTiles = () => {
       shown = true;
@@ -151,17 +150,19 @@ const answers = {
     }
   },
 
-  /** Mean error of the learned solver on these pictures, when nothing else is to be solved; without truth what it expects. */
-  async score({ asked, lookup }, { signal }) {
+  /** Mean errors of solvers that take seconds on these pictures, when nothing else is to be solved; without truth what they expect. */
+  async score({ asked, lookup, solvers }, { signal }) {
     const observations = needed(state.stack, "open an object first").observe(new Float32Array(asked.flat()), lookup);
-    const tiles = observations.tiles(IN_PIECES);
+    const tiles = observations.tiles(solvers[0]);
     observations.free();
     try {
       await helpers.solve(tiles, { signal, urgent: false });
-      const solution = tiles.solution();
-      const error = meanError(solution);
-      solution.free();
-      return error;
+      return solvers.map(name => {
+        const solution = tiles.solution(name);
+        const error = meanError(solution);
+        solution.free();
+        return error;
+      });
     } finally {
       tiles.free();
     }
@@ -253,14 +254,15 @@ function meanError({ mae, expectedError }) {
 }
 
 /**
- * A row, and after a planner's last one a row of the solver that is not there.
+ * A row, and after a planner's last one a row of each solver that is not there.
  * @param {import("./messages.js").ResultRow} row
  * @param {string[]} solvers that are
+ * @param {string[]} missing
  * @param {string} error
  */
-function withFailed(row, solvers, error) {
+function withFailed(row, solvers, missing, error) {
   if (row.solver !== solvers.at(-1)) return [row];
-  return [row, { ...row, solver: IN_PIECES, mae: null, ci95: null, mae_as_published: null, maes: [], predicted_mae: undefined, error }];
+  return [row, ...missing.map(solver => ({ ...row, solver, mae: null, ci95: null, mae_as_published: null, maes: [], predicted_mae: undefined, error }))];
 }
 
 /**
@@ -301,7 +303,7 @@ async function compare(settings, before, whole, signal, progress) {
     models?.lend(evaluation);
     const total = evaluation.total;
     const at = (/** @type {number} */ runs) => ({ done: before + settings.planners.length * runs / total, total: whole });
-    if (settings.stop_at && settings.solvers[0] === IN_PIECES) lib.loadPixelNetwork(await helpers.network());
+    if (settings.stop_at && IN_PIECES.includes(settings.solvers[0])) lib.loadPixelNetwork(await helpers.network());
     let rows = 0;
     let last = "";
     for (let done = 0; done < total; done += 1) {
@@ -317,11 +319,13 @@ async function compare(settings, before, whole, signal, progress) {
       if (tiles) {
         try {
           await helpers.solve(tiles, { signal, urgent: false, onPiece: part => progress({ ...at(done + part), step: null, row: [] }) });
-          const solution = tiles.solution();
-          const error = meanError(solution);
-          evaluation.settle(solution);
-          solution.free();
-          if (planner !== last) progress({ ...at(done), step: null, late: { name: planner, steps, solver: IN_PIECES, error }, row: [] });
+          for (const solver of settings.solvers.filter(name => IN_PIECES.includes(name))) {
+            const solution = tiles.solution(solver);
+            const error = meanError(solution);
+            evaluation.settle(solver, solution);
+            solution.free();
+            if (planner !== last) progress({ ...at(done), step: null, late: { name: planner, steps, solver, error }, row: [] });
+          }
         } finally {
           tiles.free();
         }

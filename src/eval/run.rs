@@ -9,9 +9,9 @@ use crate::planner::oracle::ORACLE_CANDIDATES;
 use crate::planner::{self, Choice, Learned, Setup};
 use crate::session::{Session, SessionError, Step};
 use crate::solve::uncertainty;
-use crate::solve::{self, Measurements, SolveError, Solver, near};
+use crate::solve::{self, Measurements, SolveError, Solver};
 use crate::stack::{Mask, Stack};
-use glam::{Vec2, Vec3};
+use glam::Vec3;
 use std::f32::consts::FRAC_PI_2;
 
 /// An object to plan on.
@@ -93,23 +93,20 @@ pub struct Score {
 }
 
 impl Score {
-    /// Judges what `solver` makes of the pictures; `places` are those of the pixels ([`near::places`]).
+    /// Judges what `solver` makes of the pictures; the pictures show all pixels of `mask`.
     ///
     /// # Errors
-    /// As the solver, and [`uncertainty::complete`].
+    /// As [`solve::whole`].
     pub fn of(
         solver: &dyn Solver,
         pictures: Measurements,
-        places: &[Vec2],
+        mask: &Mask,
         truth: Option<&[Vec3]>,
     ) -> Result<Self, SolveError> {
-        let ready = solve::prepare(solver.name(), pictures, places)?;
-        let pictures = ready.measurements();
-        let mut solution = solver.solve(&pictures)?;
+        let solution = solve::whole(solver, pictures, mask, truth.is_none())?.solution;
         if let Some(truth) = truth {
             return Ok(Self { mae: Some(error::mae(&solution.normals, truth)), predicted: None });
         }
-        uncertainty::complete(solver.name(), &pictures, &mut solution)?;
         Ok(Self { mae: None, predicted: uncertainty::predicted_mae(&solution).map(f64::from) })
     }
 
@@ -182,11 +179,10 @@ pub fn run_watched(
 ) -> Result<Run, SessionError> {
     let seen =
         if spec.planner == ALL_LIGHTS { every_light(subject)? } else { plan(subject, spec, learned, watch)? };
-    let places = near::places(subject.mask());
     let mut scores = Vec::with_capacity(solvers.len());
     for name in solvers {
         let solver = solve::by_name(name).map_err(|e| SolveError::Model(e.to_string()))?;
-        scores.push(Score::of(&*solver, Measurements::of(&seen), &places, subject.truth())?);
+        scores.push(Score::of(&*solver, Measurements::of(&seen), subject.mask(), subject.truth())?);
     }
     Ok(Run { seen, scores })
 }

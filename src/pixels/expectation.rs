@@ -229,12 +229,12 @@ pub fn fit(groups: &[Group<CUES>], seed: u64) -> Perceptron<CUES> {
         count += group.truth.len();
     }
     let beginning = libm::log((sum / count.max(1) as f64).max(f64::from(LEAST))) as f32;
-    let recipe = Recipe { seed, passes: 32, groups: 6, rate: 4e-3, beginning };
+    let recipe = Recipe { seed, passes: 32, groups: 6, rate: 4e-3, beginning, rectified: false };
     perceptron::fit(groups, &recipe, loss)
 }
 
 /// Derivatives of the losses of a group's pixels and of their mean, by the logarithms of the expected errors.
-fn loss(logs: &[f32], errors: &[f32]) -> Vec<f32> {
+pub(super) fn loss(logs: &[f32], errors: &[f32]) -> Vec<f32> {
     let expected: Vec<f32> = logs.iter().map(|&l| libm::expf(l.clamp(-6.0, 6.0))).collect();
     let all_expected = expected.iter().sum::<f32>().max(LEAST);
     let of_mean = (1.0 - errors.iter().sum::<f32>().max(LEAST) / all_expected).max(-10.0);

@@ -4,6 +4,7 @@
 //! surroundings that reflect light into it, and a sensor. Robust solvers are tuned on such pixels and the
 //! pixel network is trained on them, so that real benchmarks stay untouched.
 
+pub mod context;
 pub mod expectation;
 pub mod fit;
 pub mod nearness;

@@ -81,7 +81,7 @@ pub fn network(samples: &[Sample], seed: u64) -> Perceptron<SIGNS> {
         truth: some.iter().map(|s| s.truth / UNIT).collect(),
     };
     let groups: Vec<_> = samples.chunks(16).map(group).collect();
-    let recipe = Recipe { seed, passes: 60, groups: 4, rate: 3e-3, beginning: 0.5 };
+    let recipe = Recipe { seed, passes: 60, groups: 4, rate: 3e-3, beginning: 0.5, rectified: false };
     fit(&groups, &recipe, |outputs, truth| outputs.iter().zip(truth).map(|(o, t)| o - t).collect())
 }
 

@@ -7,13 +7,14 @@ use super::{Generator, PixelsError, pictures, seen};
 use crate::camera::Camera;
 use crate::error::unit_angle;
 use crate::planner::Learned;
-use crate::render::SceneCamera;
-use crate::render::worlds::Split;
+use crate::render::worlds::{self, Split};
+use crate::render::{Scene, SceneCamera};
 use crate::rng::Rng;
 use crate::solve::expectation::{self, expected_by};
 use crate::solve::neighbourhood::{CUES, Found, cues};
 use crate::solve::perceptron::Perceptron;
 use crate::solve::{self, Measurements, Solution, near};
+use crate::stack::Mask;
 use std::collections::BTreeMap;
 use std::f32::consts::FRAC_PI_2;
 
@@ -53,42 +54,58 @@ fn of_object(
     alone: &Alone,
     learned: &dyn Learned,
 ) -> Result<Vec<(&'static str, Group<CUES>)>, PixelsError> {
-    let mut rng = Rng::stream(0x6e6267, number as u64);
-    let size = SIZES[0] + rng.below(SIZES[1] - SIZES[0] + 1);
-    let scene = seen(&object(&mut rng, number), size as u32)?;
-    let camera = SceneCamera::real(&scene, rig(&mut rng), number as u64);
-    let places = near::places(camera.mask());
-    let mut sets = vec![random(&mut rng, 10)];
-    for name in ["dc05v", &rival(&mut rng), LEARNED] {
-        sets.push(planned(&camera, name, 10, FRAC_PI_2, rng.next_u64(), learned)?);
-    }
-    let count = 4 + rng.below(17);
-    sets.push(generator.lights(&mut rng, count));
     let mut out = Vec::new();
-    for lights in sets {
-        let images = pictures(&camera, &lights)?;
-        let images = images.iter().map(Vec::as_slice).collect();
-        let given = Measurements { lights, images, saturated: Vec::new() };
-        let some: Vec<usize> = (0..PIXELS).map(|_| rng.below(places.len())).collect();
+    each_set(generator, number, object, learned, |scene, mask, given, rng| {
+        let places = near::places(mask);
+        let some: Vec<usize> = (0..PIXELS).map(|_| rng.below(mask.len())).collect();
         for (&name, network) in alone {
             let ready = solve::prepare(name, given.clone(), &places)?;
             let measurements = ready.measurements();
             let solution = solve::by_name(name)?.solve(&measurements)?;
             let degrees = &expected_by(network, &measurements, &solution)?;
             let Solution { normals, albedo, .. } = &solution;
-            let cues = cues(camera.mask(), &Found { normals, albedo, degrees });
+            let cues = cues(mask, &Found { normals, albedo, degrees });
             let error = |&p: &usize| unit_angle(normals[p], scene.truth()[p]).to_degrees();
             let inputs = some.iter().map(|&p| cues[p]).collect();
             out.push((name, Group { inputs, truth: some.iter().map(error).collect() }));
         }
-    }
+        Ok(())
+    })?;
     Ok(out)
+}
+
+/// Gives `take` the pictures of one object, of some size and seen by some rig, under five light sets: random ones, ring and vertical, those of two planners, and
+/// one of the generator's.
+pub(super) fn each_set(
+    generator: &Generator,
+    number: usize,
+    object: impl FnOnce(&mut Rng, usize) -> worlds::Object,
+    learned: &dyn Learned,
+    mut take: impl FnMut(&Scene, &Mask, &Measurements, &mut Rng) -> Result<(), PixelsError>,
+) -> Result<(), PixelsError> {
+    let mut rng = Rng::stream(0x6e6267, number as u64);
+    let size = SIZES[0] + rng.below(SIZES[1] - SIZES[0] + 1);
+    let scene = seen(&object(&mut rng, number), size as u32)?;
+    let camera = SceneCamera::real(&scene, rig(&mut rng), number as u64);
+    let mut sets = vec![random(&mut rng, 10)];
+    for name in ["dc05v", &rival(&mut rng), LEARNED] {
+        sets.push(planned(&camera, name, 10, FRAC_PI_2, rng.next_u64(), learned)?);
+    }
+    let count = 4 + rng.below(17);
+    sets.push(generator.lights(&mut rng, count));
+    for lights in sets {
+        let images = pictures(&camera, &lights)?;
+        let images = images.iter().map(Vec::as_slice).collect();
+        let given = Measurements { lights, images, saturated: Vec::new() };
+        take(&scene, camera.mask(), &given, &mut rng)?;
+    }
+    Ok(())
 }
 
 /// Fits the network to the logarithms of the errors, as they differ from their mean over the object.
 #[must_use]
 pub fn network(groups: &[Group<CUES>], seed: u64) -> Perceptron<CUES> {
-    let recipe = Recipe { seed, passes: 24, groups: 4, rate: 4e-3, beginning: 0.0 };
+    let recipe = Recipe { seed, passes: 24, groups: 4, rate: 4e-3, beginning: 0.0, rectified: false };
     fit(groups, &recipe, loss)
 }
 

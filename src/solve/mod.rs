@@ -1,5 +1,6 @@
 //! From images and light directions to normals.
 
+pub mod context;
 pub mod expectation;
 pub mod irls;
 mod lanes;
@@ -16,9 +17,10 @@ pub mod trimmed;
 pub mod uncertainty;
 
 use crate::camera::Observation;
-use crate::stack::Stack;
+use crate::stack::{Mask, Stack};
 use glam::{Vec2, Vec3};
 
+pub use context::InContext;
 pub use irls::{Irls, Loss};
 pub use least_squares::LeastSquares;
 pub use pixel::PixelNetwork;
@@ -213,6 +215,55 @@ pub fn prepare<'a>(
     Ok(Prepared { given, distant, nearness })
 }
 
+/// Adds what only the whole object shows to a solution of which [`uncertainty::complete`] has looked at each pixel by itself: expected errors are
+/// compared with those of neighbours ([`uncertainty::compare`]), and by a solver that is [`Info::of_whole`] normals corrected ([`context::correct`]).
+///
+/// # Errors
+/// As these two.
+pub fn finish(solver: &str, mask: &Mask, solution: &mut Solution) -> Result<(), SolveError> {
+    if of_whole(solver) {
+        context::correct(mask, solution)
+    } else {
+        uncertainty::compare(solver, mask, solution)
+    }
+}
+
+/// A whole object, solved.
+#[derive(Clone, Debug)]
+pub struct Whole {
+    /// Its normals.
+    pub solution: Solution,
+    /// Nearness of the lamps that was taken out of the pictures; 0 for none.
+    pub nearness: f32,
+}
+
+/// Normals of all pixels of `mask` from the pictures of them, from [`prepare`] to [`finish`]; with expected errors where they are wanted.
+///
+/// # Errors
+/// As these, and [`Solver::solve`].
+pub fn whole(
+    solver: &dyn Solver,
+    given: Measurements,
+    mask: &Mask,
+    expected: bool,
+) -> Result<Whole, SolveError> {
+    let name = solver.name();
+    let ready = prepare(name, given, &near::places(mask))?;
+    let pictures = ready.measurements();
+    let mut solution = solver.solve(&pictures)?;
+    if expected || of_whole(name) {
+        uncertainty::complete(name, &pictures, &mut solution)?;
+        finish(name, mask, &mut solution)?;
+    }
+    Ok(Whole { solution, nearness: ready.nearness })
+}
+
+/// Whether the solver of this name corrects pixels by what is around them, see [`Info::of_whole`].
+#[must_use]
+pub fn of_whole(solver: &str) -> bool {
+    SOLVERS.iter().any(|s| s.name == solver && s.of_whole)
+}
+
 /// Whether the solver of this name takes pictures as distant lamps would give them, see [`Info::distant_lamps`].
 #[must_use]
 pub fn wants_distant_lamps(solver: &str) -> bool {
@@ -239,12 +290,14 @@ pub struct Info {
     /// Whether [`prepare`] takes the effect of near lamps out of its pictures. Solvers that are compared with published
     /// numbers take pictures as they are.
     pub distant_lamps: bool,
+    /// Whether [`finish`] corrects its normals by what is around them, so that a pixel's depends on the others.
+    pub of_whole: bool,
 }
 
 impl Info {
     /// A solver that takes pictures as they are.
     const fn textbook(name: &'static str, label: &'static str, about: &'static str) -> Self {
-        Self { name, label, about, distant_lamps: false }
+        Self { name, label, about, distant_lamps: false, of_whole: false }
     }
 }
 
@@ -261,6 +314,14 @@ pub const SOLVERS: &[Info] = &[
         label: "Learned",
         about: "learned: a set network over each pixel's observations, trained on synthetic pixels",
         distant_lamps: true,
+        of_whole: false,
+    },
+    Info {
+        name: context::NAME,
+        label: "Learned, in context",
+        about: "the learned solver's normals, corrected by what is around each pixel",
+        distant_lamps: true,
+        of_whole: true,
     },
 ];
 
@@ -286,7 +347,7 @@ pub fn check_name(name: &str) -> Result<(), UnknownSolver> {
     Err(UnknownSolver { name: name.into(), known: known().collect::<Vec<_>>().join(", ") })
 }
 
-/// The solver of a name in [`SOLVERS`]. In WebAssembly `pixel` is not among them: its network is not in the module.
+/// The solver of a name in [`SOLVERS`]. In WebAssembly `pixel` and `context` are not among them: their network is not in the module.
 ///
 /// # Errors
 /// [`UnknownSolver`] with the names there are.
@@ -300,9 +361,11 @@ pub fn by_name(name: &str) -> Result<Box<dyn Solver>, UnknownSolver> {
         "sbr" => Ok(Box::new(SparseBayes::default())),
         #[cfg(not(target_arch = "wasm32"))]
         pixel::NAME => Ok(Box::new(PixelNetwork::shipped())),
+        #[cfg(not(target_arch = "wasm32"))]
+        context::NAME => Ok(Box::new(InContext(PixelNetwork::shipped()))),
         _ => {
             check_name(name)?;
-            let known = SOLVERS.iter().map(|s| s.name).filter(|&n| n != pixel::NAME);
+            let known = SOLVERS.iter().map(|s| s.name).filter(|&n| n != pixel::NAME && n != context::NAME);
             Err(UnknownSolver { name: name.into(), known: known.collect::<Vec<_>>().join(", ") })
         }
     }

@@ -7,6 +7,7 @@
 
 use super::perceptron::Perceptron;
 use super::smooth::Smoother;
+use super::{Solution, SolveError};
 use crate::stack::Mask;
 use glam::Vec3;
 
@@ -30,6 +31,23 @@ pub struct Found<'a> {
     pub albedo: &'a [f32],
     /// Error expected of each pixel by itself, degrees.
     pub degrees: &'a [f32],
+}
+
+impl<'a> Found<'a> {
+    /// What a solution of all pixels of `mask` has; `None` without expected errors.
+    ///
+    /// # Errors
+    /// [`SolveError::Places`] where it isn't one of all pixels.
+    pub fn of(mask: &Mask, solution: &'a Solution) -> Result<Option<Self>, SolveError> {
+        let Some(degrees) = &solution.uncertainty else { return Ok(None) };
+        let Solution { normals, albedo, .. } = solution;
+        for found in [normals.len(), albedo.len(), degrees.len()] {
+            if found != mask.len() {
+                return Err(SolveError::Places { found, expected: mask.len() });
+            }
+        }
+        Ok(Some(Self { normals, albedo, degrees }))
+    }
 }
 
 /// The cues of every pixel.

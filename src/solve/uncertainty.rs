@@ -2,7 +2,8 @@
 
 use super::tiles::Piece;
 use super::{
-    Measurements, Solution, SolveError, Solver, Validity, expectation, near, neighbourhood, prepare,
+    Measurements, Solution, SolveError, Solver, Validity, expectation, finish, near, neighbourhood, of_whole,
+    prepare,
 };
 use crate::stack::Mask;
 use glam::Vec2;
@@ -29,14 +30,7 @@ pub fn complete(
 /// [`SolveError::Places`] where the solution isn't one of all pixels of `mask`, and [`SolveError::Model`] for an unknown solver.
 pub fn compare(solver: &str, mask: &Mask, solution: &mut Solution) -> Result<(), SolveError> {
     let network = &expectation::judge(solver)?.among;
-    let Some(degrees) = &solution.uncertainty else { return Ok(()) };
-    let Solution { normals, albedo, .. } = &*solution;
-    for found in [normals.len(), albedo.len(), degrees.len()] {
-        if found != mask.len() {
-            return Err(SolveError::Places { found, expected: mask.len() });
-        }
-    }
-    let found = neighbourhood::Found { normals, albedo, degrees };
+    let Some(found) = neighbourhood::Found::of(mask, solution)? else { return Ok(()) };
     solution.uncertainty = Some(neighbourhood::shared_out(network, mask, &found));
     Ok(())
 }
@@ -77,7 +71,12 @@ impl StopAt {
             return false;
         }
         let pixels = pictures.images.first().map_or(0, |image| image.len());
-        let some: Vec<u32> = (0..pixels as u32).step_by(pixels.div_ceil(JUDGED).max(1)).collect();
+        let (some, small) = if of_whole(solver.name()) {
+            let (some, small) = thinned(mask);
+            (some, Some(small))
+        } else {
+            ((0..pixels as u32).step_by(pixels.div_ceil(JUDGED).max(1)).collect(), None)
+        };
         let piece = Piece::of(pictures, &some);
         let places = near::places(mask);
         let places: Vec<Vec2> = some.iter().filter_map(|&p| places.get(p as usize).copied()).collect();
@@ -85,6 +84,9 @@ impl StopAt {
             let part = ready.measurements();
             let mut solution = solver.solve(&part)?;
             complete(solver.name(), &part, &mut solution)?;
+            if let Some(small) = &small {
+                finish(solver.name(), small, &mut solution)?;
+            }
             Ok(solution)
         });
         solved.is_ok_and(|solution| self.met(&solution, count))
@@ -94,6 +96,30 @@ impl StopAt {
     #[must_use]
     pub fn met(&self, solution: &Solution, lights: usize) -> bool {
         lights >= self.least_lights && predicted_mae(solution).is_some_and(|mae| mae <= self.degrees)
+    }
+}
+
+/// Pixels of every so manieth row and column, at most [`JUDGED`] of them, and the mask of the picture that they make: each still has its neighbours.
+fn thinned(mask: &Mask) -> (Vec<u32>, Mask) {
+    let on = |p: &u32, step: u32| {
+        let (x, y) = mask.position(*p as usize);
+        x % step == 0 && y % step == 0
+    };
+    let mut step = 1;
+    loop {
+        let some: Vec<u32> = (0..mask.len() as u32).filter(|p| on(p, step)).collect();
+        let (width, height) = (mask.width().div_ceil(step), mask.height().div_ceil(step));
+        let mut inside = vec![false; (width * height) as usize];
+        for &p in &some {
+            let (x, y) = mask.position(p as usize);
+            inside[(y / step * width + x / step) as usize] = true;
+        }
+        match Mask::new(width, height, &inside) {
+            Ok(small) if some.len() <= JUDGED => return (some, small),
+            Ok(_) => step += 1,
+            // Nothing of a thin object is on the grid: take all of it.
+            Err(_) => return ((0..mask.len() as u32).collect(), mask.clone()),
+        }
     }
 }
 

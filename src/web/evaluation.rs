@@ -2,7 +2,7 @@
 
 use super::stack::{Prepared, Solution, Stack};
 use super::tiles::Tiles;
-use super::{fail, plain};
+use super::{fail, in_pieces, plain};
 use crate::camera::Observation;
 use crate::eval::{Report, Run, RunSpec, Score, Settings, Subject, run, table};
 use crate::planner::{Learned, PLANNERS};
@@ -96,8 +96,8 @@ impl Evaluation {
 
     /// Makes the next run. In the first run of every planner, `onStep(step, errors, thumbnail)` is called after every
     /// picture: MAE in degrees by solver (without truth what the solver expects it to be; null before three lights),
-    /// and the picture with sides of at most `size` pixels. A run that fails is a row with an error. The solver `pixel` takes seconds: `tiles` and
-    /// `settle` are for it.
+    /// and the picture with sides of at most `size` pixels. A run that fails is a row with an error. The solvers `pixel` and `context` take seconds: `tiles` and
+    /// `settle` are for them.
     #[wasm_bindgen(js_name = runNext)]
     pub fn run_next(
         &mut self,
@@ -124,8 +124,9 @@ impl Evaluation {
                 .as_ref()
                 .is_none_or(|(stop, solver)| !stop.enough(&**solver, &Measurements::of(seen), &of.stack.mask))
         };
-        let in_pieces = settings.solvers.iter().position(|name| name == pixel::NAME);
-        let at_once: Vec<String> = settings.solvers.iter().filter(|n| *n != pixel::NAME).cloned().collect();
+        let (slow, at_once): (Vec<_>, Vec<_>) =
+            settings.solvers.iter().cloned().enumerate().partition(|(_, name)| in_pieces(name));
+        let at_once: Vec<String> = at_once.into_iter().map(|(_, name)| name).collect();
         let run = run::run_watched(
             &Subject::Stack(&of.stack),
             &spec,
@@ -138,8 +139,10 @@ impl Evaluation {
         }
         self.open = None;
         let run = run.map(|mut run| {
-            if let Some(place) = in_pieces {
+            for &(place, _) in &slow {
                 run.scores.insert(place, Score::default());
+            }
+            if !slow.is_empty() {
                 let seen = run
                     .seen
                     .iter()
@@ -155,16 +158,16 @@ impl Evaluation {
         Ok(())
     }
 
-    /// The last run's normals with the solver `pixel`, where the settings ask for it: to be solved in pieces, and then
+    /// The last run's pieces for the solvers `pixel` and `context`, where the settings ask for them: what comes of them is
     /// given to `settle`.
     pub fn tiles(&self) -> Result<Option<Tiles>, JsError> {
         self.open.as_ref().map(|seen| Tiles::new(&self.of, seen, pixel::NAME)).transpose()
     }
 
-    /// Puts the last run's solution by `pixel` into the table.
-    pub fn settle(&mut self, solution: &Solution) {
+    /// Puts the last run's solution by `solver` into the table.
+    pub fn settle(&mut self, solver: &str, solution: &Solution) {
         self.open = None;
-        let place = self.settings.solvers.iter().position(|name| name == pixel::NAME);
+        let place = self.settings.solvers.iter().position(|name| name == solver);
         if let (Some(place), Some((_, Ok(run)))) = (place, self.runs.last_mut()) {
             run.scores[place] = solution.score();
         }
@@ -198,13 +201,13 @@ fn report_step(
         .solvers
         .iter()
         .map(|name| {
-            if name == pixel::NAME {
+            if in_pieces(name) {
                 return None;
             }
             let solver = solve::by_name(name).ok()?;
             // Less than three lights, or lights in one plane: no normals yet.
             let truth = of.stack.truth.as_deref();
-            Score::of(&*solver, Measurements::of(seen), &of.places, truth).ok()?.degrees()
+            Score::of(&*solver, Measurements::of(seen), &of.stack.mask, truth).ok()?.degrees()
         })
         .collect();
     on_step

@@ -36,6 +36,7 @@ pub use tiles::{Tiles, Values, solve_piece};
 
 use crate::solve::pixel::{self, PixelNetwork, onnx};
 use crate::solve::{self, Solver};
+use crate::solve::{InContext, context};
 use crate::stack::Mask;
 use glam::Vec3;
 use serde::Serialize;
@@ -152,7 +153,7 @@ fn plain(value: &impl Serialize) -> Result<JsValue, JsError> {
 
 static LEARNED: OnceLock<PixelNetwork> = OnceLock::new();
 
-/// Gives the solver `pixel` its network: the bytes of `models/pixel.onnx`, which this module does not contain.
+/// Gives the solvers `pixel` and `context` their network: the bytes of `models/pixel.onnx`, which this module does not contain.
 #[wasm_bindgen(js_name = loadPixelNetwork)]
 pub fn load_pixel_network(bytes: &[u8]) -> Result<(), JsError> {
     let network = onnx::read(bytes).map_err(fail)?.network;
@@ -161,13 +162,17 @@ pub fn load_pixel_network(bytes: &[u8]) -> Result<(), JsError> {
 }
 
 fn solver(name: &str) -> Result<Box<dyn Solver>, JsError> {
-    if name != pixel::NAME {
+    if !in_pieces(name) {
         return solve::by_name(name).map_err(fail);
     }
-    match LEARNED.get() {
-        Some(network) => Ok(Box::new(network.clone())),
-        None => Err(fail("the solver 'pixel' has no network: give it to loadPixelNetwork first")),
-    }
+    let none = || fail(format!("the solver '{name}' has no network: give it to loadPixelNetwork first"));
+    let network = LEARNED.get().ok_or_else(none)?.clone();
+    Ok(if name == context::NAME { Box::new(InContext(network)) } else { Box::new(network) })
+}
+
+/// Whether the solver of this name takes seconds: the pixel network and what builds on it.
+fn in_pieces(name: &str) -> bool {
+    name == pixel::NAME || name == context::NAME
 }
 
 fn direction(values: &[f32]) -> Result<Vec3, JsError> {

@@ -159,14 +159,11 @@ impl Observations {
     /// Normals from all of them.
     pub fn solve(&self, solver: &str) -> Result<Solution, JsError> {
         let solver = super::solver(solver)?;
-        let ready =
-            solve::prepare(solver.name(), Measurements::of(&self.seen), &self.of.places).map_err(fail)?;
-        let measurements = ready.measurements();
-        let mut solution = solver.solve(&measurements).map_err(fail)?;
-        uncertainty::complete(solver.name(), &measurements, &mut solution).map_err(fail)?;
-        uncertainty::compare(solver.name(), &self.of.stack.mask, &mut solution).map_err(fail)?;
+        let pictures = Measurements::of(&self.seen);
+        let solve::Whole { solution, nearness } =
+            solve::whole(&*solver, pictures, &self.of.stack.mask, true).map_err(fail)?;
         let errors = self.of.stack.truth.as_ref().map(|truth| error::error_map(&solution.normals, truth));
-        Ok(Solution::of(&self.of, solution, errors, ready.nearness))
+        Ok(Solution::of(&self.of, solution, errors, nearness))
     }
 
     /// The same in pieces, for a solver that takes seconds.

@@ -149,16 +149,21 @@ impl Tiles {
         self.assembly.put(first, &part).map_err(fail)
     }
 
-    /// The solution: each pixel its own where all levels are solved, before that the next solved one's above and left. Once it is whole, its
-    /// expected errors are compared ([`uncertainty::compare`]).
-    pub fn solution(&self) -> Result<Solution, JsError> {
+    /// The solution: each pixel its own where all levels are solved, before that the next solved one's above and left. Once it is whole, it is
+    /// finished ([`solve::finish`]), as that of another `solver` of the same pieces where one is named.
+    pub fn solution(&self, solver: Option<String>) -> Result<Solution, JsError> {
         let mask = &self.of.stack.mask;
         let shown = self.assembly.shown(mask);
         let mut solution = self.assembly.solution(&shown);
-        if self.assembly.done() == self.assembly.total() {
-            uncertainty::compare(&self.solver, mask, &mut solution).map_err(fail)?;
+        let whole = self.assembly.done() == self.assembly.total();
+        if whole {
+            let solver = solver.as_ref().unwrap_or(&self.solver);
+            solve::finish(solver, mask, &mut solution).map_err(fail)?;
         }
         let errors = self.of.stack.truth.as_ref().map(|truth| {
+            if whole {
+                return error::error_map(&solution.normals, truth);
+            }
             // A pixel shows another's error with that one's normal: its own would count the coarseness.
             let map = error::error_map(&self.assembly.solved().normals, truth);
             let degrees: Vec<f32> = shown.iter().map(|&p| map.degrees[p]).collect();

@@ -3,6 +3,7 @@
 import { DEFAULTS, fromHash, toHash } from "../settings.js";
 import { isAbort } from "../engine.js";
 import { LEARNED } from "../learned.js";
+import { IN_PIECES } from "../solvers.js";
 import { newestOnly, Store } from "../store.js";
 import { find } from "../svg.js";
 import { mountChart } from "./chart.js";
@@ -56,8 +57,6 @@ import { mountSettings } from "./settings_panel.js";
  * @property {ReturnType<typeof makeActions>} actions
  */
 
-/** The solver whose error is not known after every light of a run: it takes seconds. */
-const SLOW = "pixel";
 /** The planner that is shown after the first run. */
 const OURS = "coil";
 /** A step that is no longer wanted need not end at once: a new worker would have to open the object again. */
@@ -163,26 +162,29 @@ function makeActions(page, store) {
   });
 
   /**
-   * Completes the curves of the solver that is too slow to be asked after every light, while nothing else is to be done.
+   * Completes the curves of the solvers that are too slow to be asked after every light, while nothing else is to be done.
    * @param {Settings} settings
    * @param {AbortSignal} signal ends it
    */
   async function complete(settings, signal) {
+    const solvers = settings.solvers.filter(name => IN_PIECES.includes(name));
+    if (!solvers.length) return;
     const first = store.state.shown.planner;
     const names = [first, ...settings.planners.filter(name => name !== first)];
     try {
       for (const name of names) {
         const run = store.state.runs.get(name) ?? [];
         for (let steps = run.length; steps >= 3; steps -= 1) {
-          if (typeof run[steps - 1].errors[SLOW] === "number") continue;
+          if (solvers.every(solver => typeof run[steps - 1].errors[solver] === "number")) continue;
           const asked = run.slice(0, steps).map(taken => taken.step.requested);
-          const error = await engine.call("score", { asked, lookup: settings.lookups[0] }, { signal, patience: VIEW_PATIENCE_MS });
+          const errors = await engine.call("score", { asked, lookup: settings.lookups[0], solvers }, { signal, patience: VIEW_PATIENCE_MS });
           if (signal.aborted) return;
-          store.update({ runs: withError(store.state.runs, { name, steps, solver: SLOW, error }) });
+          const runs = solvers.reduce((runs, solver, i) => withError(runs, { name, steps, solver, error: errors[i] }), store.state.runs);
+          store.update({ runs });
         }
       }
     } catch (error) {
-      page.problem("The learned solver's curves can't be completed", error);
+      page.problem("The learned solvers' curves can't be completed", error);
     }
   }
 
@@ -303,7 +305,7 @@ function makeActions(page, store) {
         const report = { ...made, settings, results: made.results.toSorted((a, b) => place(a) - place(b)) };
         store.update({ report, rows: report.results });
         page.announce(summary(report, store.state.catalogue));
-        if (settings.solvers.includes(SLOW)) complete(settings, signal);
+        complete(settings, signal);
       } catch (error) {
         if (isAbort(error) && running.signal === signal) page.announce("The run was cancelled.");
         page.problem(RUNNING[0], error);

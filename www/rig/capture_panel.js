@@ -1,6 +1,7 @@
 // The capture: its settings, beginning and pausing, and where its session is stored.
 
 import { download, html } from "../svg.js";
+import { IN_PIECES } from "../solvers.js";
 import { chooseFolder } from "./camera.js";
 import { explain } from "./port.js";
 
@@ -147,7 +148,7 @@ export function mountCapture({ page, client, fields, say, failed }, camera) {
       select(".rig-planner").replaceChildren(...planners.map(p => html("option", { value: p.name, selected: p.name === ours }, p.label)));
       $(".rig-withheld").hidden = !catalogue.withheld;
       $(".rig-withheld").textContent = catalogue.withheld;
-      select(".rig-solver").replaceChildren(...catalogue.solvers.filter(s => s.name !== "pixel").map(s => html("option", { value: s.name, selected: s.name === "trimmed", title: s.about }, s.label)));
+      select(".rig-solver").replaceChildren(...catalogue.solvers.filter(s => !IN_PIECES.includes(s.name)).map(s => html("option", { value: s.name, selected: s.name === "trimmed", title: s.about }, s.label)));
     },
 
     /**

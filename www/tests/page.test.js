@@ -369,6 +369,7 @@ test("the learned solver runs in pieces, in several workers: the same to the bit
       const row = (/** @type {import("../pkg/core/coil_ps.js").Solution} */ s) => Array.from({ length: 40 }, (_, x) => s.pixel(x + 8, 30)?.[5] ?? NaN);
       const both = (/** @type {import("../pkg/core/coil_ps.js").Solution} */ s) => [s.normals(), s.albedo(), row(s), s.errors() ?? [], s.expectedError ?? NaN, s.mae ?? NaN].join();
       const whole = both(observations.solve("pixel"));
+      const inContext = both(observations.solve("context"));
       const tiles = observations.tiles("pixel");
       /** @type {number[]} */
       const levels = [];
@@ -379,9 +380,10 @@ test("the learned solver runs in pieces, in several workers: the same to the bit
         .then(() => "finished", (/** @type {Error} */ error) => error.name);
       const again = observations.tiles("pixel");
       await helpers.solve(again, { signal: new AbortController().signal, urgent: true });
-      return { finite: row(tiles.solution()).filter(Number.isFinite).length, same: both(tiles.solution()) === whole, again: both(again.solution()) === whole, levels, end, left: half.total - half.done, workers: navigator.hardwareConcurrency };
+      return { finite: row(tiles.solution()).filter(Number.isFinite).length, same: both(tiles.solution()) === whole, corrected: both(tiles.solution("context")) === inContext && inContext !== whole, again: both(again.solution()) === whole, levels, end, left: half.total - half.done, workers: navigator.hardwareConcurrency };
     });
     assert.ok(got.same, "pieces give what one call gives");
+    assert.ok(got.corrected, "and corrected by what is around them what one call gives");
     assert.ok(got.finite > 10, `${got.finite} pixels of the row are of the object`);
     // Two levels may become complete at once, where a helper is kept waiting.
     assert.ok(got.levels.length >= 2, `${got.levels}`);
@@ -393,13 +395,16 @@ test("the learned solver runs in pieces, in several workers: the same to the bit
   });
 });
 
-test("the learned solver in the table and on the maps", async () => {
-  await withPage(QUICK.replace("draws=2", "draws=1&solvers=ls,pixel"), async page => {
+test("the learned solvers in the table and on the maps", async () => {
+  await withPage(QUICK.replace("draws=2", "draws=1&solvers=ls,pixel,context"), async page => {
     await tableDone(page);
-    for (const row of await table(page)) assert.ok(parseFloat(row[3]) < parseFloat(row[2]), `learned ${row[3]}, least squares ${row[2]}`);
+    for (const row of await table(page)) {
+      const [plain, learned, corrected] = row.slice(2, 5).map(parseFloat);
+      assert.ok(learned < plain && corrected < learned, `least squares ${plain}, learned ${learned}, in context ${corrected}`);
+    }
     const early = await page.evaluate(async () => {
       const solver = /** @type {HTMLSelectElement} */ (document.querySelector("#dome select.solver"));
-      solver.value = "pixel";
+      solver.value = "context";
       solver.dispatchEvent(new Event("change"));
       for (let i = 0; i < 2; i += 1) await new Promise(requestAnimationFrame);
       return !(/** @type {HTMLButtonElement} */ (document.querySelector(".map-normals .save")).disabled);
@@ -407,8 +412,8 @@ test("the learned solver in the table and on the maps", async () => {
     assert.ok(!early, "a part of the normals is not saved under the name of all");
     await page.waitForFunction(() => /^from 6 lights/.test(document.querySelector(".map-normals .note")?.textContent ?? ""));
     const [row] = (await table(page)).filter(cells => cells[0] === "DC05 ring + vertical");
-    await page.waitForFunction(mae => document.querySelector(".map-errors .note")?.textContent === `mean ${mae}`, row[3]);
-    assert.match(await page.locator("#dome .caption").first().innerText(), new RegExp(`Mean error ${row[3].replace("°", "")}`));
+    await page.waitForFunction(mae => document.querySelector(".map-errors .note")?.textContent === `mean ${mae}`, row[4]);
+    assert.match(await page.locator("#dome .caption").first().innerText(), new RegExp(`Mean error ${row[4].replace("°", "")}`));
   });
 });
 

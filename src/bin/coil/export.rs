@@ -7,7 +7,7 @@ use clap::ValueEnum;
 use coil_ps::dataset::diligent::object_name;
 use coil_ps::dataset::{Files, Header, Limits, archive, csv, diligent102, lp, write_object};
 use coil_ps::eval::{Protocol, plot};
-use coil_ps::solve::{self, Measurements, near};
+use coil_ps::solve::{self, Measurements};
 use coil_ps::stack::BitDepth;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -101,9 +101,8 @@ fn export(
             let (raw, _) = files::read_object(files, dir, limits)?;
             let stack = Protocol::Official.apply(&raw)?;
             let solver = solve::by_name(&args.solver)?;
-            let ready =
-                solve::prepare(solver.name(), Measurements::of_stack(&stack), &near::places(&stack.mask))?;
-            let normals = solver.solve(&ready.measurements())?.normals;
+            let pictures = Measurements::of_stack(&stack);
+            let normals = solve::whole(&*solver, pictures, &stack.mask, false)?.solution.normals;
             vec![(format!("{name}.mat"), diligent102::submission(&stack.mask, &normals))]
         }
     };

@@ -2,7 +2,7 @@
 
 use crate::files;
 use crate::output::safe;
-use anyhow::Context;
+use anyhow::{Context, bail};
 use coil_ps::dataset::Limits;
 use coil_ps::eval::{Protocol, Subject, protocol};
 use coil_ps::render::mesh::MeshError;
@@ -10,7 +10,7 @@ use coil_ps::render::worlds;
 use coil_ps::render::{Material, Mesh, Options, RenderError, Scene, SceneCamera, Shape, Tolerances};
 use coil_ps::stack::{RawStack, Stack};
 use std::collections::HashSet;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// An object, ready to plan on.
 pub enum Object {
@@ -235,6 +235,25 @@ fn mesh(path: &str) -> anyhow::Result<worlds::Object> {
     let shape = Shape::Mesh(read_mesh(file)?);
     let name = Path::new(file).file_stem().unwrap_or_default().to_string_lossy().into_owned();
     Ok(worlds::Object { name, rotation: shape.front(), shape, finish: material.into() })
+}
+
+/// The meshes of a folder, by name.
+pub fn read_meshes(dir: &Path) -> anyhow::Result<Vec<(String, Mesh)>> {
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(dir).with_context(|| dir.display().to_string())? {
+        files.push(entry?.path());
+    }
+    files.retain(|f| is_mesh(&f.to_string_lossy()));
+    files.sort();
+    if files.is_empty() {
+        bail!("{}: no mesh (.obj, .ply, .stl)", dir.display());
+    }
+    let read = |file: &PathBuf| -> anyhow::Result<(String, Mesh)> {
+        let name = file.display().to_string();
+        let mesh = read_mesh(&name)?;
+        Ok((name, mesh))
+    };
+    files.iter().map(read).collect()
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use coil_ps::eval::settings::ALL_LIGHTS;
 use coil_ps::eval::{Run, RunSpec, Settings, Subject};
 use coil_ps::light;
 use coil_ps::session::SessionError;
-use coil_ps::solve::{self, Measurements, near};
+use coil_ps::solve::{self, Measurements};
 use coil_ps::stack::BitDepth;
 use glam::Vec3;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -200,9 +200,8 @@ pub fn write_runs(
         write(&folder.join(format!("{stem}-lights.svg")), plot.svg().as_bytes())?;
         for name in &settings.solvers {
             let solver = solve::by_name(name)?;
-            let ready =
-                solve::prepare(solver.name(), Measurements::of(&run.seen), &near::places(subject.mask()))?;
-            let solution = solver.solve(&ready.measurements())?;
+            let pictures = Measurements::of(&run.seen);
+            let solution = solve::whole(&*solver, pictures, subject.mask(), false)?.solution;
             let normals = plot::normal_map(subject.mask(), &solution.normals, BitDepth::Sixteen)?;
             write(&folder.join(format!("{stem}-{name}-normals.png")), &normals)?;
             if let Some(truth) = subject.truth() {

@@ -28,7 +28,7 @@ pub struct Args {
     #[command(flatten)]
     selection: Selection,
     /// Solver.
-    #[arg(long, default_value = "pixel")]
+    #[arg(long, default_value = "context")]
     solver: String,
     /// Planner that chooses the lights; `all` takes every light of the stack.
     #[arg(long, default_value = ALL_LIGHTS)]
@@ -155,7 +155,7 @@ fn one(
     let solved = begun.elapsed().as_secs_f64();
     let begun = Instant::now();
     uncertainty::complete(solver.name(), &measurements, &mut solution)?;
-    uncertainty::compare(solver.name(), subject.mask(), &mut solution)?;
+    solve::finish(solver.name(), subject.mask(), &mut solution)?;
     let seconds = (solved, begun.elapsed().as_secs_f64());
     let truth = subject.truth().map(|t| error::error_map(&solution.normals, t));
     let expected = uncertainty::predicted_mae(&solution).unwrap_or(f32::NAN);

@@ -1,13 +1,12 @@
 //! `coil train policy`: COIL-PS's network, in resumable pieces.
 
 use crate::model;
-use crate::objects::{is_mesh, read_mesh};
+use crate::objects::read_meshes;
 use crate::output::{at_least_one, replace};
 use anyhow::{Context, bail};
 use clap::ValueEnum;
 use coil_ps::light::{azimuth, fibonacci_cap, from_azimuth_slant, ring, slant};
 use coil_ps::policy::Config;
-use coil_ps::render::Mesh;
 use coil_ps::train::compute::{Compute, Processor};
 use coil_ps::train::fit::{Recipe, Report, Trainer};
 use coil_ps::train::formation::Scene;
@@ -425,25 +424,6 @@ fn resume(dir: &Path) -> anyhow::Result<Trainer> {
     let path = dir.join("checkpoint");
     let bytes = fs::read(&path).with_context(|| format!("no run in {}", dir.display()))?;
     checkpoint::read(&bytes).with_context(|| path.display().to_string())
-}
-
-/// The meshes of a folder, by name.
-fn read_meshes(dir: &Path) -> anyhow::Result<Vec<(String, Mesh)>> {
-    let mut files = Vec::new();
-    for entry in fs::read_dir(dir).with_context(|| dir.display().to_string())? {
-        files.push(entry?.path());
-    }
-    files.retain(|f| is_mesh(&f.to_string_lossy()));
-    files.sort();
-    if files.is_empty() {
-        bail!("{}: no mesh (.obj, .ply, .stl)", dir.display());
-    }
-    let read = |file: &PathBuf| -> anyhow::Result<(String, Mesh)> {
-        let name = file.display().to_string();
-        let mesh = read_mesh(&name)?;
-        Ok((name, mesh))
-    };
-    files.iter().map(read).collect()
 }
 
 /// A new run of the network, and with the best weights, of the run or the model in `from`.

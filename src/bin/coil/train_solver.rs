@@ -81,7 +81,8 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     let generator = Generator::new(Split::Train).with_distant_lamps();
     let unseen = Generator::new(Split::Validation).with_distant_lamps();
     let benches: Vec<_> = LIGHTS.iter().map(|&t| bench(&unseen, VALIDATION_SEED, t, 60, 32)).collect();
-    for name in solve::SOLVERS.iter().map(|s| s.name).filter(|n| *n != solve::pixel::NAME) {
+    let untrained = |s: &&solve::Info| s.name != solve::pixel::NAME && !s.of_whole;
+    for name in solve::SOLVERS.iter().filter(untrained).map(|s| s.name) {
         println!("validation {name:8} {}", validate(&*solve::by_name(name)?, &benches)?);
     }
     let begun = Instant::now();

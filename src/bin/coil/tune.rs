@@ -1,9 +1,10 @@
 //! `coil tune`: the robust solvers' parameters and every solver's expected errors, from synthetic pixels.
 
+use crate::objects::read_meshes;
 use crate::{models, output};
 use coil_ps::eval::statistics::mean;
 use coil_ps::pixels::tune::{Score, bench, score};
-use coil_ps::pixels::{Generator, expectation, nearness, neighbourhood};
+use coil_ps::pixels::{Generator, context, expectation, nearness, neighbourhood};
 use coil_ps::render::worlds::Split;
 use coil_ps::solve::expectation::Judge;
 use coil_ps::solve::{self, Irls, Loss, Solver, SparseBayes, Thresholds, Trimmed, near};
@@ -29,6 +30,15 @@ pub struct Args {
     /// Instead fit what makes the lamps' nearness of the pictures, and write the weights to FILE (models/nearness.json).
     #[arg(long, value_name = "FILE", conflicts_with = "uncertainty")]
     nearness: Option<PathBuf>,
+    /// Instead fit what corrects normals by what is around them, and write the weights to FILE (models/context.json).
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["uncertainty", "nearness"])]
+    context: Option<PathBuf>,
+    /// Folder of meshes (.obj, .ply, .stl) that a third of the objects for --context are; the rest are sculptures.
+    #[arg(long, value_name = "DIR", requires = "context")]
+    meshes: Option<PathBuf>,
+    /// Folder of meshes that this is looked at on too.
+    #[arg(long, value_name = "DIR", requires = "context")]
+    validation_meshes: Option<PathBuf>,
     #[command(flatten)]
     models: models::Folder,
     /// Rendered objects that this is fitted to.
@@ -51,6 +61,9 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     }
     if let Some(out) = &args.nearness {
         return fit_nearness(&args, out);
+    }
+    if let Some(out) = &args.context {
+        return fit_context(&args, out);
     }
     let generator = Generator::new(Split::Train);
     let benches: Vec<_> = LIGHTS.iter().map(|&t| bench(&generator, args.seed, t, args.sets, 64)).collect();
@@ -117,11 +130,12 @@ fn fit_expected(args: &Args, out: &Path) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Something of every solver.
+/// Something of every solver that treats pixels alone.
 fn in_parallel<T: Send>(
     of: impl Fn(&'static str) -> anyhow::Result<T> + Sync,
 ) -> anyhow::Result<BTreeMap<&'static str, T>> {
-    solve::SOLVERS.par_iter().map(|s| Ok((s.name, of(s.name)?))).collect()
+    let alone: Vec<_> = solve::SOLVERS.iter().filter(|s| !s.of_whole).collect();
+    alone.par_iter().map(|s| Ok((s.name, of(s.name)?))).collect()
 }
 
 /// Fits what makes the lamps' nearness of what is seen, writes it, and prints how far off it is on objects it was not fitted to.
@@ -149,6 +163,26 @@ fn fit_nearness(args: &Args, out: &Path) -> anyhow::Result<ExitCode> {
             mean(&distant)
         );
     }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Fits what corrects normals by what is around them, writes it, and prints what it does to objects it was not fitted to.
+fn fit_context(args: &Args, out: &Path) -> anyhow::Result<ExitCode> {
+    let seconds = Instant::now();
+    let models = args.models.load(&["coil".to_owned()])?;
+    let read = |dir: &Option<PathBuf>| dir.as_deref().map_or_else(|| Ok(Vec::new()), read_meshes);
+    let samples = context::samples(args.objects, &read(&args.meshes)?, &models)?;
+    eprintln!("solved after {:.0} s", seconds.elapsed().as_secs_f64());
+    let network = context::network(&samples, args.seed);
+    output::write(out, format!("{}\n", serde_json::to_string(&network)?).as_bytes())?;
+    eprintln!("fitted after {:.0} s", seconds.elapsed().as_secs_f64());
+    println!(
+        "validation objects, lights: mean error of `pixel`, in context, expected, objects within 2°, median rank correlation"
+    );
+    for line in context::check(&network, args.checks, &read(&args.validation_meshes)?, &models)? {
+        println!("{line}");
+    }
+    eprintln!("{:.0} s", seconds.elapsed().as_secs_f64());
     Ok(ExitCode::SUCCESS)
 }
 
