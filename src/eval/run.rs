@@ -93,7 +93,7 @@ pub struct Score {
 }
 
 impl Score {
-    /// Judges what `solver` makes of the pictures; the pictures show all pixels of `mask`.
+    /// Judges what `solver` makes of the pictures, which show all pixels of `mask`.
     ///
     /// # Errors
     /// As [`solve::whole`].

@@ -213,7 +213,7 @@ mod tests {
         let groups = samples(2, &[], &Ring).unwrap();
         assert_eq!(groups.len(), 2 * 5);
         assert!(groups.iter().all(|g| g.inputs.len() == PIXELS && g.truth.len() == PIXELS));
-        let groups = groups.repeat(8);
+        let groups: Vec<_> = std::iter::repeat_n(groups, 8).flatten().collect();
         let network = network(&groups, 1);
         assert!(network.is_whole());
         let nothing = Network { weights: vec![0.0; Network::WEIGHTS], ..network.clone() };

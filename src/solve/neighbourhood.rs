@@ -195,7 +195,8 @@ mod tests {
         let degrees: Vec<f32> = (0..mask.len()).map(|_| rng.range(0.5, 20.0)).collect();
         let found = Found { normals: &normals, albedo: &vec![0.5; mask.len()], degrees: &degrees };
         let weights = (0..Perceptron::<CUES>::WEIGHTS).map(|_| 0.3 * rng.normal()).collect();
-        let network = Perceptron { mean: vec![0.0; CUES], deviation: vec![1.0; CUES], weights };
+        let network =
+            Perceptron { mean: vec![0.0; CUES], deviation: vec![1.0; CUES], weights, rectified: false };
         let shared = shared_out(&network, &mask, &found);
         assert!((mean(&shared) - mean(&degrees)).abs() < 1e-3);
         assert_ne!(shared, degrees);

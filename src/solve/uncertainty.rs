@@ -72,6 +72,9 @@ impl StopAt {
         }
         let pixels = pictures.images.first().map_or(0, |image| image.len());
         let (some, small) = if of_whole(solver.name()) {
+            if pixels != mask.len() {
+                return false;
+            }
             let (some, small) = thinned(mask);
             (some, Some(small))
         } else {
@@ -99,7 +102,7 @@ impl StopAt {
     }
 }
 
-/// Pixels of every so manieth row and column, at most [`JUDGED`] of them, and the mask of the picture that they make: each still has its neighbours.
+/// At most [`JUDGED`] pixels of a coarser grid, and the mask of the picture that they make: each still has its neighbours.
 fn thinned(mask: &Mask) -> (Vec<u32>, Mask) {
     let on = |p: &u32, step: u32| {
         let (x, y) = mask.position(*p as usize);

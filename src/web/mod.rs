@@ -35,8 +35,7 @@ pub use studio::{Frame, FrameAverage, MaskDrawing, SessionFile, SessionFiles, fi
 pub use tiles::{Tiles, Values, solve_piece};
 
 use crate::solve::pixel::{self, PixelNetwork, onnx};
-use crate::solve::{self, Solver};
-use crate::solve::{InContext, context};
+use crate::solve::{self, InContext, Solver, context};
 use crate::stack::Mask;
 use glam::Vec3;
 use serde::Serialize;

@@ -7,7 +7,7 @@ import { launch, openPage, ROOT, servePage, tableDone, WWW } from "./support.js"
 /** @typedef {import("playwright-core").Page} Page */
 
 const RESULTS = join(WWW, "test-results");
-const MATRIX = "#planners=random,dc05v,tk22,lipids,oracle&solvers=ls,trimmed,l1,sbr,pixel&lights=10&draws=3";
+const MATRIX = "#planners=random,dc05v,tk22,lipids,oracle&solvers=ls,trimmed,sbr,pixel,context&lights=10&draws=3";
 
 const server = await servePage();
 const browser = await launch();
@@ -34,7 +34,7 @@ const STATES = {
   matrix: {
     hash: MATRIX,
     async before(page) {
-      await page.getByLabel("Solver shown").selectOption("pixel");
+      await page.getByLabel("Solver shown").selectOption("context");
       await page.getByRole("button", { name: "Show in 3-D" }).click();
       await page.waitForFunction(() => document.querySelector("#chart .note")?.textContent?.startsWith("First draw"), null, { timeout: 120_000 });
       await page.waitForFunction(() => document.querySelector(".map-surface canvas")?.getAttribute("width") === "360", null, { timeout: 60_000 });
