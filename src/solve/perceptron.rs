@@ -16,7 +16,7 @@ pub struct Perceptron<const N: usize, const O: usize = 1, const W: usize = WIDTH
     pub deviation: Vec<f32>,
     /// First layer (one row of `W` for each input) and its bias, second layer and its bias, last layer (one row of `O` for each of `W`) and its bias.
     pub weights: Vec<f32>,
-    /// Whether layers cut off what is negative ([`Perceptron::bent`]).
+    /// Whether layers cut off what is negative (`Perceptron::bent`).
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub rectified: bool,
 }
@@ -58,7 +58,7 @@ impl<const N: usize, const O: usize, const W: usize> Perceptron<N, O, W> {
         if self.rectified { x.max(0.0) } else { x / (1.0 + x.abs()) }
     }
 
-    /// Derivative of [`Perceptron::bent`] where its value is `y`.
+    /// Derivative of `Perceptron::bent` where its value is `y`.
     #[must_use]
     pub fn slope(&self, y: f32) -> f32 {
         match self.rectified {
